@@ -1,0 +1,174 @@
+"""A robot: its MJCF, the joints that are commanded and recorded, and where its end effector is."""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path, PurePosixPath
+
+import mujoco
+
+from edream.core.errors import EdreamError, unknown_name
+
+MAX_BYTES = 64 * 2**20
+JOINT_TRANSMISSIONS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+HINGE_OR_SLIDE = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+
+
+@dataclass(frozen=True, eq=False)
+class RobotModel:
+    """A MuJoCo model of a robot, held as text so that it can be hashed, edited and written anywhere.
+
+    Attributes:
+        name: what reports call it.
+        mjcf: the MJCF (or URDF) as text, with every include resolved.
+        assets: mesh and texture files that the text names, file name -> bytes.
+        site: name of the end-effector site, or None for the last body of the chain.
+    """
+
+    name: str
+    mjcf: str
+    assets: Mapping[str, bytes] = field(default_factory=dict)
+    site: str | None = None
+
+    def spec(self) -> mujoco.MjSpec:
+        """A fresh, editable `mujoco.MjSpec` of this robot.
+
+        Raises:
+            EdreamError: MuJoCo cannot parse the text.
+        """
+        try:
+            return mujoco.MjSpec.from_string(self.mjcf, assets=dict(self.assets))
+        except ValueError as error:
+            raise EdreamError(f"Robot {self.name!r}: MuJoCo cannot read its model: {_one_line(error)}") from error
+
+    @cached_property
+    def model(self) -> mujoco.MjModel:
+        """The compiled model, as published. Treat as read only.
+
+        Raises:
+            EdreamError: MuJoCo cannot compile it.
+        """
+        try:
+            return self.spec().compile()
+        except ValueError as error:
+            raise EdreamError(f"Robot {self.name!r}: MuJoCo cannot compile its model: {_one_line(error)}") from error
+
+    @cached_property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the joints that an actuator drives, in actuator order, (J,).
+
+        Raises:
+            EdreamError: an actuator does not drive a single hinge or slide joint, or there is none.
+        """
+        model = self.model
+        names = []
+        for actuator in range(model.nu):
+            if int(model.actuator_trntype[actuator]) not in JOINT_TRANSMISSIONS:
+                raise EdreamError(
+                    f"Robot {self.name!r}: actuator {model.actuator(actuator).name!r} does not drive a joint; "
+                    "expected position actuators on hinge or slide joints."
+                )
+            joint = int(model.actuator_trnid[actuator, 0])
+            if int(model.jnt_type[joint]) not in HINGE_OR_SLIDE:
+                raise EdreamError(f"Robot {self.name!r}: joint {model.joint(joint).name!r} is neither hinge nor slide.")
+            names.append(model.joint(joint).name)
+        if not names:
+            raise EdreamError(f"Robot {self.name!r} has no actuator; expected one position actuator for each recorded joint.")
+        return tuple(names)
+
+    def joint_index(self, name: str) -> int:
+        """Column of a joint.
+
+        Raises:
+            EdreamError: the robot has no such actuated joint.
+        """
+        if name not in self.joints:
+            raise unknown_name("joint", name, self.joints)
+        return self.joints.index(name)
+
+
+def load_robot(path: Path, name: str | None = None, site: str | None = None) -> RobotModel:
+    """Read a robot from an MJCF or URDF file, with its includes and assets.
+
+    No file outside the model's own folder (or its parent's `assets`/`meshes` folders) is opened.
+
+    Args:
+        path: the MJCF or URDF file.
+        name: what reports call it; the file's stem where None.
+        site: end-effector site, or None to take the last body.
+
+    Raises:
+        EdreamError: the file does not exist, is too large, leaves its folder or is not a MuJoCo model.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise EdreamError(f"There is no robot model at {path}. Expected an MJCF or URDF file; give it as robot.mjcf=PATH.")
+    if path.stat().st_size > MAX_BYTES:
+        raise EdreamError(f"Robot model {path} has {path.stat().st_size} bytes; expected at most {MAX_BYTES}.")
+    root = path.resolve().parent
+    text = _read_text(path)
+    includes = _files(text, root, path, tag="include")
+    for depth in range(16):
+        nested = {k: v for inner in list(includes.values()) for k, v in _files(_decode(inner, path), root, path, tag="include").items()}
+        if nested.keys() <= includes.keys():
+            break
+        includes |= nested
+        if depth == 15:
+            raise EdreamError(f"Robot model {path}: its includes are nested more than 16 deep.")
+    robot_name = name or path.stem
+    texts = [text, *(_decode(inner, path) for inner in includes.values())]
+    assets: dict[str, bytes] = dict(includes)
+    for one in texts:
+        assets |= _asset_files(one, texts, root, path)
+    flat = RobotModel(robot_name, text, assets, site)
+    if includes:
+        spec = flat.spec()
+        spec.compile()
+        flat = RobotModel(robot_name, spec.to_xml(), {k: v for k, v in assets.items() if k not in includes}, site)
+    if site is not None and site not in [s.name for s in flat.spec().sites]:
+        raise unknown_name(f"site in {path.name}", site, [s.name for s in flat.spec().sites])
+    return flat
+
+
+def _read_text(path: Path) -> str:
+    return _decode(path.read_bytes(), path)
+
+
+def _decode(data: bytes, path: Path) -> str:
+    try:
+        text = data.decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise EdreamError(f"Robot model {path} is not text: byte {error.start} is not UTF-8. Expected MJCF or URDF.") from error
+    if text.startswith("version https://git-lfs"):
+        raise EdreamError(f"{path} is a Git LFS pointer, not the model itself. Run 'git lfs pull' where it came from.")
+    return text
+
+
+def _files(text: str, root: Path, path: Path, tag: str, folder: str = "") -> dict[str, bytes]:
+    """The files that `<tag ... file="...">` names, read from inside `root`."""
+    found = {}
+    for name in re.findall(rf'<{tag}\b[^>]*?\bfile\s*=\s*["\']([^"\']+)["\']', text):
+        relative = PurePosixPath(folder) / name.removeprefix("package://")
+        target = (root / relative).resolve()
+        if not target.is_relative_to(root):
+            raise EdreamError(f"Robot model {path} names {name!r}, which lies outside its own folder; it was not opened.")
+        if not target.is_file():
+            raise EdreamError(f"Robot model {path} names {name!r}, which does not exist at {target}.")
+        if target.stat().st_size > MAX_BYTES:
+            raise EdreamError(f"{target}, named by {path}, has {target.stat().st_size} bytes; expected at most {MAX_BYTES}.")
+        found[str(relative) if tag != "include" else name] = target.read_bytes()
+    return found
+
+
+def _asset_files(text: str, texts: list[str], root: Path, path: Path) -> dict[str, bytes]:
+    joined = "\n".join(texts)
+    found: dict[str, bytes] = {}
+    for tag, attribute in (("mesh", "meshdir"), ("hfield", "meshdir"), ("skin", "meshdir"), ("texture", "texturedir")):
+        named = re.search(rf'\b{attribute}\s*=\s*["\']([^"\']*)["\']', joined) or re.search(r'\bassetdir\s*=\s*["\']([^"\']*)["\']', joined)
+        found |= _files(text, root, path, tag, folder=named.group(1) if named else "")
+    return found
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())
