@@ -1,0 +1,63 @@
+"""`conditions.csv`: numbers that are known about each recording, next to the recordings."""
+
+import csv
+import io
+import math
+from collections.abc import Mapping
+from pathlib import Path
+
+from edream.core.errors import EdreamError
+from edream.ingest.border import read_text
+
+FILE = "conditions.csv"
+
+
+def find_conditions(path: Path) -> Path | None:
+    """The `conditions.csv` in the folder `path`, or beside the file `path`; None where there is none."""
+    file = (path if path.is_dir() else path.parent) / FILE
+    return file if file.is_file() else None
+
+
+def read_conditions(file: Path) -> dict[str, dict[str, float]]:
+    """Recording name -> condition -> number.
+
+    The first column is `recording`; every other column is one condition; an empty cell means not known.
+
+    Raises:
+        EdreamError: the header or a number is wrong, or a recording stands twice.
+    """
+    try:
+        rows = list(csv.reader(io.StringIO(read_text(file)), strict=True))
+    except csv.Error as error:
+        raise EdreamError(f"{file} is no CSV file: {error}.") from error
+    rows = [row for row in rows if any(cell.strip() for cell in row)]
+    names = [cell.strip() for cell in rows[0]] if rows else []
+    if not names or names[0] != "recording" or len(set(names)) != len(names) or not all(names):
+        raise EdreamError(
+            f"{file} begins with the columns {', '.join(names) or 'none'}; expected 'recording' first, then one name a condition."
+        )
+    table: dict[str, dict[str, float]] = {}
+    for line, row in enumerate(rows[1:], start=2):
+        if len(row) != len(names):
+            raise EdreamError(f"{file}, row {line}: it has {len(row)} cells; expected {len(names)}.")
+        recording = row[0].strip()
+        if recording in table:
+            raise EdreamError(f"{file}, row {line}: recording {recording!r} stands twice.")
+        cells = zip(names[1:], row[1:], strict=True)
+        table[recording] = {name: _number(file, line, name, cell) for name, cell in cells if cell.strip()}
+    return table
+
+
+def unmatched(table: Mapping[str, object], met: set[str]) -> list[str]:
+    """Names in `conditions.csv` that no recording has."""
+    return sorted(set(table) - met)
+
+
+def _number(file: Path, line: int, name: str, cell: str) -> float:
+    try:
+        number = float(cell)
+    except ValueError as error:
+        raise EdreamError(f"{file}, row {line}: {name} is {cell!r}; expected a number.") from error
+    if not math.isfinite(number):
+        raise EdreamError(f"{file}, row {line}: {name} is {cell!r}; expected a finite number.")
+    return number
