@@ -1,0 +1,98 @@
+"""A physical effect: what it is called, what is unknown about it, and how MuJoCo is told."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Literal, Protocol
+
+import numpy as np
+from jaxtyping import Float
+
+from edream.core.errors import EdreamError
+from edream.core.parameters import Parameter
+
+if TYPE_CHECKING:
+    import mujoco
+
+Place = Literal["joint", "pair", "body", "world", "geom"]
+Values = Mapping[str, Float[np.ndarray, "N"]]
+
+
+class Fields(Protocol):
+    """Model fields of N simulations of one compiled model, each (N, ...) and written in place."""
+
+    model: mujoco.MjModel
+    count: int
+
+    def __getitem__(self, name: str) -> Float[np.ndarray, "N ..."]:
+        """The live values of a `mujoco.MjModel` field, such as "dof_damping", or of an option, such as "opt.gravity"."""
+        ...
+
+
+class State(Protocol):
+    """What a hook reads and writes, each with a leading axis of N simulations; one for a plain `MjData`."""
+
+    time: Float[np.ndarray, "N"]
+    qpos: Float[np.ndarray, "N nq"]
+    qvel: Float[np.ndarray, "N nv"]
+    ctrl: Float[np.ndarray, "N nu"]
+    qfrc_bias: Float[np.ndarray, "N nv"]
+    actuator_force: Float[np.ndarray, "N nu"]
+    gain: Float[np.ndarray, "N nu"]
+    friction: Float[np.ndarray, "N nv"]
+    torque: Float[np.ndarray, "N nv"]
+
+
+Hook = Callable[[Any, Mapping[str, int], Mapping[str, Any]], None]
+
+
+class Effect(ABC):
+    """One physical effect. A new one is one new file in `edream/effects/` that defines `ENTRY`.
+
+    Attributes:
+        name: the word used in files, configs, commands and reports.
+        summary: the words of a sentence, such as "load-dependent friction".
+        place: what it acts on. A "pair" acts on its first target because of its second; "world" has no target.
+        confusable: effects that some motions cannot tell from this one.
+        hook: what MJCF cannot say. Called before each step as `hook(state, index, values)`: adds to `state.friction`
+            [N m] or `state.torque` [N m]. `index` has "dof", "qpos", "actuator" and "ctrl" of the first target, and the same with
+            "other_" for a pair's second. It is written into the emitted hook file as it stands, so it uses only its
+            arguments and `np`.
+    """
+
+    name: str
+    summary: str
+    place: Place
+    confusable: tuple[str, ...] = ()
+    hook: Hook | None = None
+
+    @abstractmethod
+    def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
+        """What is unknown, with bounds that suit this robot; names are the quantity alone, such as "torque"."""
+
+    def edit(self, spec: mujoco.MjSpec, target: str) -> None:  # noqa: B027 - most effects need no structure
+        """Add the structure that `write` fills, once, before compilation, for one target."""
+
+    def write(self, fields: Fields, target: str, values: Values) -> None:  # noqa: B027 - a hook may say it all
+        """Write the numbers of one target into the fields of N simulations."""
+
+
+def joint_index(model: mujoco.MjModel, joint: str) -> dict[str, int]:
+    """Addresses of a joint and of the actuator that drives it: "joint", "dof", "qpos", "actuator", "ctrl".
+
+    Raises:
+        EdreamError: no actuator drives the joint.
+    """
+    number = model.joint(joint).id
+    for actuator in range(model.nu):
+        driven = int(model.actuator_trnid[actuator, 0])
+        if int(model.actuator_trntype[actuator]) in (0, 1) and driven == number and model.actuator_ctrlnum[actuator]:
+            return {
+                "joint": number,
+                "dof": int(model.jnt_dofadr[number]),
+                "qpos": int(model.jnt_qposadr[number]),
+                "actuator": actuator,
+                "ctrl": int(model.actuator_ctrladr[actuator]),
+            }
+    raise EdreamError(f"Joint {joint!r} has no actuator of its own; effects act on actuated joints.")

@@ -1,0 +1,35 @@
+"""Inertia of the motor's rotor, felt through its gear."""
+
+from collections.abc import Sequence
+
+import mujoco
+
+from edream.core.effect import Effect, Fields, Values, joint_index
+from edream.core.parameters import Parameter
+
+
+class Armature(Effect):
+    """Rotor inertia reflected through the gear, the same in every pose.
+
+        tau = -I qdd
+
+    Shows up on fast small steps and chirps. Writes `armature`.
+    Parameter: inertia I [kg m^2], absolute. Source: MuJoCo XML reference, body/joint/armature.
+    """
+
+    name = "armature"
+    summary = "another rotor inertia"
+    place = "joint"
+    confusable = ("actuator_delay", "payload")
+
+    def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
+        dof = joint_index(model, targets[0])["dof"]
+        nominal = float(model.dof_armature[dof])
+        around = max(nominal, 0.05 * float(model.dof_M0[dof]), 1e-6)
+        return (Parameter("inertia", "kg m^2", around / 100.0, around * 20.0, max(nominal, around / 100.0), scale="log"),)
+
+    def write(self, fields: Fields, target: str, values: Values) -> None:
+        fields["dof_armature"][:, joint_index(fields.model, target)["dof"]] = values["inertia"]
+
+
+ENTRY = Armature()

@@ -1,0 +1,36 @@
+"""Dry friction."""
+
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+
+from edream.core.effect import Effect, Fields, Values, joint_index
+from edream.core.parameters import Parameter
+from edream.sim.scales import largest
+
+
+class Coulomb(Effect):
+    """Dry friction: the same at every speed, and able to hold the joint still.
+
+        tau = -F sign(qd), |tau| <= F at rest
+
+    Shows up as a loop of half width F/kp between measured and commanded position. Writes `frictionloss`, a constraint that sticks.
+    Parameter: torque F [N m], absolute. Source: Olsson et al., European Journal of Control 4(3), 1998.
+    """
+
+    name = "coulomb"
+    summary = "dry friction"
+    place = "joint"
+    confusable = ("dead_zone", "backlash", "load_friction")
+
+    def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
+        nominal = float(model.dof_frictionloss[joint_index(model, targets[0])["dof"]])
+        high = max(5.0 * nominal, largest(model, targets))
+        return (Parameter("torque", "N m", 0.0, high, float(np.clip(nominal, 0.0, high)), absent=0.0),)
+
+    def write(self, fields: Fields, target: str, values: Values) -> None:
+        fields["dof_frictionloss"][:, joint_index(fields.model, target)["dof"]] = values["torque"]
+
+
+ENTRY = Coulomb()

@@ -1,0 +1,40 @@
+"""Resistance proportional to speed."""
+
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+
+from edream.core.effect import Effect, Fields, Values, joint_index
+from edream.core.parameters import Parameter
+from edream.sim.scales import largest
+
+
+class Viscous(Effect):
+    """All resistance proportional to speed, the servo's own derivative term included.
+
+        tau = -b qd
+
+    Free motion shows only the sum of the joint's damping and the servo's derivative gain, so both are one number here:
+    the servo's `kv` is set to 0 and the joint's `damping` to b. `derivative_gain` splits them where torque was switched off.
+    Parameter: damping b [N m s/rad], absolute. Source: Armstrong-Helouvry, Dupont, Canudas de Wit, Automatica 30(7), 1994.
+    """
+
+    name = "viscous"
+    summary = "another viscous friction"
+    place = "joint"
+    confusable = ("actuator_lag", "actuator_delay")
+
+    def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
+        index = joint_index(model, targets[0])
+        nominal = float(model.dof_damping[index["dof"]] - model.actuator_biasprm[index["actuator"], 2])
+        high = max(10.0 * nominal, largest(model, targets))
+        return (Parameter("damping", "N m s/rad", high * 1e-4, high, float(np.clip(nominal, high * 1e-4, high)), scale="log"),)
+
+    def write(self, fields: Fields, target: str, values: Values) -> None:
+        index = joint_index(fields.model, target)
+        fields["actuator_biasprm"][:, index["actuator"], 2] = 0.0
+        fields["dof_damping"][:, index["dof"]] = values["damping"]
+
+
+ENTRY = Viscous()

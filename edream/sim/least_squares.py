@@ -1,0 +1,118 @@
+"""Gauss-Newton in the true simulator: bounded, with priors, one batch of simulations a Jacobian."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy.optimize import least_squares
+
+from edream.core.parameters import ParameterSpace
+from edream.sim.objective import Objective, rms
+
+STEP = 2e-3  # of the unit box: large enough to cross the kinks of dry friction, small enough to be a derivative
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """Where a least-squares fit ended.
+
+    Attributes:
+        space: the parameters.
+        values: their values, (P,).
+        residual: data residuals there [rad], (R,).
+        jacobian: d residual / d unit-box coordinate there, (R, P).
+        converged: whether the optimiser met a tolerance rather than its limit.
+        start_rms, rms: root-mean-square residual before and after [rad].
+    """
+
+    space: ParameterSpace
+    values: Float[np.ndarray, "P"]
+    residual: Float[np.ndarray, "R"]
+    jacobian: Float[np.ndarray, "R P"]
+    converged: bool
+    start_rms: float
+    rms: float
+
+
+def jacobian(
+    objective: Objective, space: ParameterSpace, unit: Float[np.ndarray, "P"], base: Float[np.ndarray, "R"]
+) -> Float[np.ndarray, "R P"]:
+    """Forward differences in the unit box, each towards the inside, all simulated in one batch."""
+    steps = np.where(unit + STEP <= 1.0, STEP, -STEP)
+    moved = objective.residuals(space.from_unit(unit + np.diag(steps)))
+    return ((moved - base) / steps[:, None]).T
+
+
+def solve(
+    objective: Objective,
+    start: Float[np.ndarray, "P"] | None = None,
+    noise: float | None = None,
+    iterations: int = 12,
+    tolerance: float = 1e-4,
+) -> Solution:
+    """Fit every parameter of the objective's robot to its recordings.
+
+        minimise sum_r (r / noise)^2 + sum_p ((u_p - u0_p) / s_p)^2   over the unit box
+
+    Args:
+        objective: what to fit.
+        start: where to begin, in the parameters' units; the space's start where None.
+        noise: standard deviation [rad] that one independent residual row is worth; it sets the weight of the priors.
+            Where None, the residual's own root mean square, inflated by its autocorrelation.
+        iterations: most Jacobians computed.
+        tolerance: relative change of the cost, and of the unit-box step, that ends the fit.
+    """
+    space = objective.simulated.space
+    centre, spread = space.unit_prior()
+    known = np.isfinite(spread)
+    begin = np.clip(space.to_unit(space.start() if start is None else np.asarray(start)), 0.0, 1.0)
+    first = objective.residuals(space.from_unit(begin))[0]
+    scale = noise if noise is not None else worth(objective, first)
+    cache = {begin.tobytes(): first}
+
+    def data(unit: np.ndarray) -> np.ndarray:
+        key = unit.tobytes()
+        if key not in cache:
+            cache[key] = objective.residuals(space.from_unit(unit))[0]
+        return cache[key]
+
+    def function(unit: np.ndarray) -> np.ndarray:
+        return np.concatenate([data(unit) / scale, ((unit - centre) / spread)[known]])
+
+    def derivative(unit: np.ndarray) -> np.ndarray:
+        prior = np.diag(1.0 / spread)[known]
+        return np.concatenate([jacobian(objective, space, unit, data(unit)) / scale, prior])
+
+    if not len(space):
+        return Solution(space, np.zeros(0), first, np.zeros((len(first), 0)), True, rms(first), rms(first))
+    inside = np.clip(begin, 1e-6, 1.0 - 1e-6)
+    found = least_squares(
+        function, inside, derivative, bounds=(0.0, 1.0), method="trf", x_scale=0.1, max_nfev=iterations, ftol=tolerance, xtol=tolerance, gtol=None
+    )
+    residual = data(found.x)
+    slope = found.jac[: len(residual)] * scale
+    return Solution(space, space.from_unit(found.x), residual, slope, found.status > 0, rms(first), rms(residual))
+
+
+def worth(objective: Objective, residual: Float[np.ndarray, "R"]) -> float:
+    """The noise [rad] that one residual row stands for, given how long its errors last.
+
+    Rows of one motion are not independent: with an integrated autocorrelation time of tau rows, n rows tell as much as n / tau.
+    """
+    return rms(residual) * float(np.sqrt(autocorrelation_time(objective.per_window(residual))))
+
+
+def autocorrelation_time(parts: list[Float[np.ndarray, "T J"]]) -> float:
+    """Integrated autocorrelation time [rows], tau = 1 + 2 sum rho_k up to the first k with rho_k below 0.05.
+
+    Source: Sokal, Monte Carlo Methods in Statistical Mechanics, 1997; Geyer's initial positive sequence.
+    """
+    longest = max(len(part) for part in parts)
+    size = 2 ** int(np.ceil(np.log2(2 * longest)))
+    power = sum((np.abs(np.fft.rfft(part, size, axis=0)) ** 2).sum(axis=1) for part in parts)
+    covariance = np.fft.irfft(power, size)[:longest]
+    if covariance[0] <= 0.0:
+        return 1.0
+    rho = covariance / covariance[0]
+    below = np.flatnonzero(rho < 0.05)
+    return float(max(1.0, 1.0 + 2.0 * rho[1 : below[0] if len(below) else longest].sum()))

@@ -1,0 +1,300 @@
+"""The one door into MuJoCo: open-loop replay of recorded commands under many parameter sets at once."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+from mujoco import batch
+
+from edream.core.effect import joint_index
+from edream.core.episode import Episode
+from edream.sim.hooks import batch_hooks
+from edream.sim.simulation import SimulatedRobot, write_fields
+
+CHUNK = 100
+MEASURED_SUFFIX = "_measured"
+MOTOR_SUFFIX = "_motor"
+
+
+@dataclass(frozen=True, eq=False)
+class Window:
+    """A stretch of an episode that is replayed open loop from its first measured state.
+
+    Attributes:
+        episode: the recorded motion.
+        first, last: rows of the first and last measurement used (last included).
+    """
+
+    episode: Episode
+    first: int
+    last: int
+
+    @property
+    def times(self) -> Float[np.ndarray, "T"]:
+        """Measurement times from the window's start [s]; the first is 0."""
+        return self.episode.times[self.first : self.last + 1] - self.episode.times[self.first]
+
+    @property
+    def measured(self) -> Float[np.ndarray, "T J"]:
+        """Measured positions [rad]; row 0 is where the simulation starts."""
+        return self.episode.position[self.first : self.last + 1]
+
+
+def whole(episodes: Sequence[Episode], until: float | None = None) -> list[Window]:
+    """Every episode as one window, cut after `until` seconds."""
+    return [Window(e, 0, len(e.times) - 1 if until is None else max(1, _row_at(e, e.times[0] + until))) for e in episodes]
+
+
+def split(episodes: Sequence[Episode], seconds: float, until: float | None = None) -> list[Window]:
+    """Every episode cut into consecutive windows of about `seconds`, each restarting at a measured state."""
+    windows = []
+    for window in whole(episodes, until):
+        episode = window.episode
+        start, end = episode.times[0], episode.times[window.last]
+        count = max(1, round((end - start) / seconds))
+        rows = [_row_at(episode, start + (end - start) * i / count) for i in range(count)] + [window.last]
+        windows += [Window(episode, a, b) for a, b in zip(rows[:-1], rows[1:], strict=True) if b > a]
+    return windows
+
+
+def _row_at(episode: Episode, time: float) -> int:
+    return int(np.clip(np.searchsorted(episode.times, time, side="right") - 1, 0, len(episode.times) - 1))
+
+
+def start_velocity(window: Window) -> Float[np.ndarray, "J"]:
+    """Joint velocities at the window's start [rad/s]: the slope of a line through up to five measurements around it."""
+    episode, row = window.episode, window.first
+    rows = slice(max(0, row - 2), row + 3)
+    clock = episode.times[rows] - episode.times[rows].mean()
+    return clock @ (episode.position[rows] - episode.position[rows].mean(axis=0)) / (clock @ clock)
+
+
+def rollout(
+    simulated: SimulatedRobot,
+    values: Float[np.ndarray, "N P"],
+    windows: Sequence[Window],
+    threads: int = 0,
+) -> list[Float[np.ndarray, "N T J"]]:
+    """Replay each window's commands under each parameter set, sampled at the measured times.
+
+    Commands hold from their own time to the next; positions are interpolated between steps. A joint with a sensor
+    `<joint>_measured` is read through it. A simulation that becomes unstable is NaN from there on.
+
+    Args:
+        simulated: the robot and its effects.
+        values: parameter sets, in the order of `simulated.space`.
+        windows: stretches to replay.
+        threads: simulation threads; 0 for every core. The result does not depend on it.
+
+    Returns:
+        For each window, positions [rad], (N, T of that window, J).
+
+    Raises:
+        EdreamError: a recording lacks a condition that scales a parameter.
+    """
+    values = np.atleast_2d(np.asarray(values, dtype=float))
+    order = np.argsort([-window.times[-1] for window in windows], kind="stable")
+    ordered = [windows[i] for i in order]
+    replay = _Replay(simulated, values, ordered, threads)
+    results = replay.run()
+    out: list[np.ndarray] = [results[0]] * len(windows)
+    for place, result in zip(order, results, strict=True):
+        out[place] = result
+    return out
+
+
+class _Replay:
+    """One batch of N x W simulations, stepped together; windows come longest first so that ended ones drop off."""
+
+    def __init__(self, simulated: SimulatedRobot, values: np.ndarray, windows: Sequence[Window], threads: int) -> None:
+        self.windows, self.model = windows, simulated.model
+        self.n, self.w = len(values), len(windows)
+        self.step = float(self.model.opt.timestep)
+        joints = windows[0].episode.joints
+        self.index = [joint_index(self.model, joint) for joint in joints]
+        self.ctrl_columns = np.array([one["ctrl"] for one in self.index])
+        # simulation number = window * N + set, so that the simulations of ended windows are the last rows
+        self.batch = batch.Batch(self.model, self.n * self.w, threads)
+        conditions = [window.episode.conditions for window in windows for _ in range(self.n)]
+        numbers = simulated.quantities(np.tile(values, (self.w, 1)), conditions)
+        self._gains = _Servos(self.batch, self.model)
+        write_fields(simulated, self.batch, numbers)
+        self._gains.remember()
+        self.hooks = batch_hooks(simulated, self.batch, numbers)
+        self.record, self.columns, self.lag = _measured(self.model, joints)
+        self.samples = [window.times / self.step for window in windows]
+        self.steps = [int(np.ceil(s[-1])) + self.lag for s in self.samples]
+        self._start(joints)
+
+    def _start(self, joints: Sequence[str]) -> None:
+        """Put every simulation at its window's first measured state, with the command history that led there."""
+        self.batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
+        qpos, qvel = self.batch.bind("qpos"), self.batch.bind("qvel")
+        self.commands = [_held_commands(window, self.step, steps) for window, steps in zip(self.windows, self.steps, strict=True)]
+        for number, window in enumerate(self.windows):
+            rows = slice(number * self.n, (number + 1) * self.n)
+            velocity = start_velocity(window)
+            for joint, index, position, speed in zip(joints, self.index, window.measured[0], velocity, strict=True):
+                qpos[rows, index["qpos"]] = position
+                qvel[rows, index["dof"]] = speed
+                twin = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_JOINT, joint + MOTOR_SUFFIX)
+                if twin >= 0:
+                    qpos[rows, self.model.jnt_qposadr[twin]] = position
+                    qvel[rows, self.model.jnt_dofadr[twin]] = speed
+            _start_actuators(self.batch, self.model, self.index, rows, window, self.step)
+        if self.hooks is not None or self.record == "sensordata":
+            self.batch.forward()
+
+    def run(self) -> list[np.ndarray]:
+        joints = len(self.index)
+        out = [np.full((self.n, len(s), joints), np.nan) for s in self.samples]
+        for number, window in enumerate(self.windows):
+            out[number][:, 0] = window.measured[0]
+        previous = np.array(self.batch.bind("qpos" if self.record == "qpos" else "sensordata"))[:, None, :]
+        enabled = [_enabled(window, self.step) for window in self.windows]
+        total = max(self.steps)
+        cuts = sorted({*range(0, total, CHUNK), total, *(k for changes in enabled for k, _ in changes if 0 < k < total)})
+        for begin, end in zip(cuts[:-1], cuts[1:], strict=True):
+            active = sum(steps > begin for steps in self.steps)
+            self._gains.switch(enabled, begin, self.n)
+            grid = np.concatenate([previous[: active * self.n], self._advance(begin, end, active)], axis=1)
+            self._sample(out, grid, begin, end, active)
+            previous = grid[:, -1:]
+        self._mark_unstable(out)
+        return out
+
+    def _advance(self, begin: int, end: int, active: int) -> np.ndarray:
+        """Step the active simulations from grid point `begin` to `end`; returns what was recorded, (n, end - begin, width)."""
+        control = np.zeros((active, end - begin, self.batch.bind("ctrl").shape[1]))
+        for number in range(active):
+            held = self.commands[number]
+            rows = np.minimum(np.arange(begin, end), len(held) - 1)
+            control[number][:, self.ctrl_columns] = held[rows]
+        ids = None if active == self.w else np.arange(active * self.n)
+        if self.hooks is None:
+            repeated = np.repeat(control, self.n, axis=0)
+            return self.batch.rollout(end - begin, repeated, record=(self.record,), ids=ids)[self.record]
+        live, ctrl = self.batch.bind(self.record), self.batch.bind("ctrl")
+        grid = np.empty((active * self.n, end - begin, live.shape[1]))
+        for k in range(end - begin):
+            ctrl[: active * self.n] = np.repeat(control[:, k], self.n, axis=0)
+            self.hooks()
+            self.batch.step(ids=ids)
+            grid[:, k] = live[: active * self.n]
+        return grid
+
+    def _sample(self, out: list[np.ndarray], grid: np.ndarray, begin: int, end: int, active: int) -> None:
+        for number in range(active):
+            at = self.samples[number] + self.lag
+            i, j = np.searchsorted(at, [begin, end], side="right")
+            if begin == 0 and self.lag == 0:
+                i = max(i, 1)
+            if j <= i:
+                continue
+            low = np.minimum(np.floor(at[i:j]).astype(int), end - 1)
+            fraction = (at[i:j] - low)[:, None]
+            rows = grid[number * self.n : (number + 1) * self.n][:, :, self.columns]
+            out[number][:, i:j] = rows[:, low - begin] * (1.0 - fraction) + rows[:, low - begin + 1] * fraction
+
+    def _mark_unstable(self, out: list[np.ndarray]) -> None:
+        bad = self.batch.warning[:, UNSTABLE, 1].any(axis=1)
+        for number in range(self.w):
+            out[number][bad[number * self.n : (number + 1) * self.n], 1:] = np.nan
+
+
+UNSTABLE = [int(w) for w in (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)]
+
+
+class _Servos:
+    """Servo gains of a batch, set to zero while a recording's torque is off."""
+
+    def __init__(self, simulations: batch.Batch, model: mujoco.MjModel) -> None:
+        self.batch, self.model = simulations, model
+        self.off: dict[int, bool] = {}
+
+    def remember(self) -> None:
+        self.fields = {name: self.batch.expand(name) for name in ("actuator_gainprm", "actuator_biasprm")}
+        self.full = {name: field.copy() for name, field in self.fields.items()}
+
+    def switch(self, enabled: Sequence[Sequence[tuple[int, bool]]], step: int, n: int) -> None:
+        driven = self.model.actuator_ctrlnum > 0
+        for number, changes in enumerate(enabled):
+            off = not [on for k, on in changes if k <= step][-1]
+            if off == self.off.get(number, False):
+                continue
+            self.off[number] = off
+            rows = slice(number * n, (number + 1) * n)
+            for name, field in self.fields.items():
+                field[rows] = self.full[name][rows]
+                if off:
+                    field[rows, driven] = 0.0
+
+
+def _measured(model: mujoco.MjModel, joints: Sequence[str]) -> tuple[str, np.ndarray, int]:
+    """What to record, which columns are the joints, and by how many steps the record lags the state.
+
+    Sensors describe the state before the step that they are read after, so they lag by one.
+    """
+    sensors = [mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SENSOR, joint + MEASURED_SUFFIX) for joint in joints]
+    if all(sensor < 0 for sensor in sensors):
+        return "qpos", np.array([joint_index(model, joint)["qpos"] for joint in joints]), 0
+    return "sensordata", np.array([model.sensor_adr[sensor] for sensor in sensors]), 1
+
+
+def _held_commands(window: Window, step: float, steps: int) -> Float[np.ndarray, "K J"]:
+    """The command in force at each step (zero-order hold)."""
+    episode = window.episode
+    clock = episode.times[window.first] + step * np.arange(steps)
+    rows = np.searchsorted(episode.command_times, clock + 1e-9, side="right") - 1
+    return episode.command[np.maximum(rows, 0)]
+
+
+def _enabled(window: Window, step: float) -> list[tuple[int, bool]]:
+    """Step numbers at which torque goes on or off, with the state at step 0 first."""
+    episode = window.episode
+    if episode.enabled is None:
+        return [(0, True)]
+    now = episode.times[window.first]
+    row = max(0, int(np.searchsorted(episode.command_times, now + 1e-9, side="right")) - 1)
+    changes = [(0, bool(episode.enabled[row]))]
+    for k in range(row + 1, len(episode.command_times)):
+        if bool(episode.enabled[k]) != changes[-1][1]:
+            changes.append((max(1, round((episode.command_times[k] - now) / step)), bool(episode.enabled[k])))
+    return changes
+
+
+def _start_actuators(
+    simulations: batch.Batch, model: mujoco.MjModel, index: Sequence[dict[str, int]], rows: slice, window: Window, step: float
+) -> None:
+    """Fill the actuators' activations and history buffers with the commands given before the window began."""
+    episode, now = window.episode, window.episode.times[window.first]
+    act, history = simulations.bind("act"), simulations.bind("history")
+    for column, one in enumerate(index):
+        actuator = one["actuator"]
+        held = episode.command[max(0, np.searchsorted(episode.command_times, now + 1e-9, side="right") - 1), column]
+        if _holds_setpoint(model, actuator):
+            act[rows, model.actuator_actadr[actuator]] = held
+        samples = int(model.actuator_history[actuator][0])
+        if samples:
+            clock = now - step * np.arange(samples, 0, -1)
+            past = episode.command[np.maximum(np.searchsorted(episode.command_times, clock + 1e-9, side="right") - 1, 0), column]
+            start = int(model.actuator_historyadr[actuator]) + 2 + samples
+            history[rows, start : start + samples] = past
+    for sensor in range(model.nsensor):
+        samples = int(model.sensor_history[sensor][0])
+        joint = model.sensor(sensor).name.removesuffix(MEASURED_SUFFIX)
+        if samples and joint in episode.joints:
+            column = episode.joints.index(joint)
+            start = int(model.sensor_historyadr[sensor]) + 2 + samples
+            clock = now - step * np.arange(samples, 0, -1)
+            history[rows, start : start + samples] = np.interp(clock, episode.times, episode.position[:, column])
+
+
+def _holds_setpoint(model: mujoco.MjModel, actuator: int) -> bool:
+    """Whether the actuator's first activation is a setpoint on its way to the command (a filter or a slew limit)."""
+    dynamics = int(model.actuator_dyntype[actuator])
+    if dynamics == int(mujoco.mjtDyn.mjDYN_PID):
+        return bool(model.actuator_actnum[actuator] > 1 or model.actuator_gainprm[actuator, 0] == 0.0)
+    return dynamics in (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT))

@@ -1,0 +1,182 @@
+"""A robot with effects placed on it: compiled once, simulated many times."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+from mujoco import batch
+
+from edream.core.effect import Effect, joint_index
+from edream.core.errors import EdreamError
+from edream.core.parameters import Parameter, ParameterSpace
+from edream.sim.robot import RobotModel
+
+
+@dataclass(frozen=True)
+class Scaling:
+    """A known condition of a recording that multiplies a parameter: value x condition / reference."""
+
+    condition: str
+    reference: float
+
+
+@dataclass(frozen=True)
+class Placement:
+    """One effect at one place. Several targets share one set of numbers.
+
+    Attributes:
+        effect: the effect.
+        targets: joint, body or geom names; for a pair, each target is "first<-second"; empty for the world.
+        scaled: quantity -> the condition that multiplies it.
+        fixed: quantity -> a value that is held, not searched.
+        bounds: quantity -> fields of `Parameter` to replace (low, high, start, spread), from the config.
+    """
+
+    effect: Effect
+    targets: tuple[str, ...] = ()
+    scaled: Mapping[str, Scaling] | None = None
+    fixed: Mapping[str, float] | None = None
+    bounds: Mapping[str, Mapping[str, float]] | None = None
+
+    @property
+    def label(self) -> str:
+        """The place as part of a parameter's name."""
+        return "+".join(self.targets)
+
+    def full_name(self, quantity: str) -> str:
+        return f"{self.effect.name}.{quantity}[{self.label}]" if self.targets else f"{self.effect.name}.{quantity}"
+
+    def parameters(self, model: mujoco.MjModel) -> tuple[Parameter, ...]:
+        """This placement's parameters under their full names."""
+        out = []
+        for parameter in self.effect.parameters(model, self.targets):
+            changes = dict((self.bounds or {}).get(parameter.name, {}))
+            if parameter.name in (self.fixed or {}):
+                continue
+            out.append(replace(parameter, **changes, name=self.full_name(parameter.name)))
+        return tuple(out)
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatedRobot:
+    """A robot and the effects placed on it.
+
+    Attributes:
+        robot: the published model.
+        placements: the effects, written in this order.
+    """
+
+    robot: RobotModel
+    placements: tuple[Placement, ...]
+
+    @cached_property
+    def space(self) -> ParameterSpace:
+        """Every parameter that is searched, in the order of the placements."""
+        return ParameterSpace(tuple(p for placement in self.placements for p in placement.parameters(self.robot.model)))
+
+    @property
+    def has_hooks(self) -> bool:
+        return any(placement.effect.hook for placement in self.placements)
+
+    def spec(self) -> mujoco.MjSpec:
+        """The robot's spec with every effect's structure added; numbers are still to be written."""
+        spec = self.robot.spec()
+        for placement in self.placements:
+            for target in placement.targets or ("",):
+                placement.effect.edit(spec, target)
+        return spec
+
+    @cached_property
+    def model(self) -> mujoco.MjModel:
+        """The compiled model with every effect's structure. Treat as read only.
+
+        Raises:
+            EdreamError: MuJoCo cannot compile it.
+        """
+        try:
+            return self.spec().compile()
+        except ValueError as error:
+            names = ", ".join(placement.effect.name for placement in self.placements)
+            raise EdreamError(f"Robot {self.robot.name!r} with {names}: MuJoCo cannot compile it: {' '.join(str(error).split())}") from error
+
+    def with_placements(self, placements: Sequence[Placement]) -> "SimulatedRobot":
+        return SimulatedRobot(self.robot, tuple(placements))
+
+    def quantities(
+        self, values: Float[np.ndarray, "N P"], conditions: Sequence[Mapping[str, float]]
+    ) -> list[dict[str, Float[np.ndarray, "N"]]]:
+        """The numbers that each placement writes, with fixed values filled in and known conditions applied.
+
+        Args:
+            values: one row a simulation, in the order of `space`.
+            conditions: each simulation's known conditions.
+
+        Raises:
+            EdreamError: a recording lacks a condition that scales a parameter.
+        """
+        columns = dict(zip(self.space.names, np.asarray(values, dtype=float).T, strict=True))
+        out = []
+        for placement in self.placements:
+            numbers = {}
+            for parameter in placement.effect.parameters(self.robot.model, placement.targets):
+                fixed = (placement.fixed or {}).get(parameter.name)
+                column = np.full(len(values), fixed) if fixed is not None else columns[placement.full_name(parameter.name)]
+                scaling = (placement.scaled or {}).get(parameter.name)
+                if scaling is not None:
+                    column = column * _factors(scaling, conditions)
+                numbers[parameter.name] = column
+            out.append(numbers)
+        return out
+
+
+def _factors(scaling: Scaling, conditions: Sequence[Mapping[str, float]]) -> np.ndarray:
+    for one in conditions:
+        if scaling.condition not in one:
+            known = ", ".join(sorted(one)) or "none"
+            raise EdreamError(
+                f"A recording has no condition {scaling.condition!r}, which the robot's config uses to scale a parameter. "
+                f"What it has: {known}. Add the column to conditions.csv."
+            )
+    return np.array([one[scaling.condition] for one in conditions]) / scaling.reference
+
+
+class BatchFields:
+    """The model fields of a `mujoco.batch.Batch`, given per-simulation values as they are asked for."""
+
+    def __init__(self, simulations: batch.Batch, model: mujoco.MjModel) -> None:
+        self.model = model
+        self.count = simulations.nsim
+        self.touched: set[str] = set()
+        self._simulations = simulations
+
+    def __getitem__(self, name: str) -> Float[np.ndarray, "N ..."]:
+        self.touched.add(name)
+        return self._simulations.expand(name)
+
+
+def write_fields(
+    simulated: SimulatedRobot, simulations: batch.Batch, numbers: Sequence[Mapping[str, Float[np.ndarray, "N"]]]
+) -> BatchFields:
+    """Write every placement's numbers into a batch and bring derived constants up to date."""
+    fields = BatchFields(simulations, simulated.model)
+    for placement, values in zip(simulated.placements, numbers, strict=True):
+        for target in placement.targets or ("",):
+            placement.effect.write(fields, target, values)
+    if fields.touched & DERIVING:
+        simulations.set_const()
+    return fields
+
+
+# mj_setConst also reads damping and armature, but only for invweight and diagnostics; kinematics and inertia need it.
+DERIVING = {"body_mass", "body_ipos", "body_inertia", "body_iquat", "qpos0", "dof_armature", "body_pos", "body_quat"}
+
+
+def hook_index(model: mujoco.MjModel, effect: Effect, target: str) -> dict[str, int]:
+    """The addresses that an effect's hook is given for one target."""
+    if effect.place == "pair":
+        first, second = target.split("<-")
+        return joint_index(model, first) | {f"other_{key}": value for key, value in joint_index(model, second).items()}
+    return joint_index(model, target) if effect.place == "joint" else {}
