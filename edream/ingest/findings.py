@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from edream.core.episode import Episode, Video
-from edream.ingest.video import encode_png
+from edream.ingest.video import encode_image
 
 GAP = 3.0  # a step this many times the median one is a gap
 LARGE = 10.0  # rad: no joint of an arm turns this far
@@ -257,7 +257,7 @@ def _preview(video: Video) -> bytes:
     scale = min(1.0, PREVIEW / max(image.shape[:2]))
     size = (max(1, round(image.shape[1] * scale)), max(1, round(image.shape[0] * scale)))
     small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
-    return encode_png(np.concatenate([small, small[:, :, ::-1]], axis=1))
+    return encode_image(np.concatenate([small, small[:, :, ::-1]], axis=1), "png")
 
 
 def _seen(found: Sequence[Findings], what: str) -> list[str]:

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
-from edream.core.errors import EdreamError
+from edream.core.errors import EdreamError, unknown_name
 from edream.ingest.border import MAX_PIXELS, check_file, one_line
 
 CONTAINER_MARKS = (b"\xff\xd8\xff", b"\x89PNG\r\n\x1a\n")
@@ -71,11 +71,16 @@ def decode_image(data: bytes, what: str, swap: bool = False) -> UInt8[np.ndarray
     return image if swap else np.ascontiguousarray(image[:, :, ::-1])
 
 
-def encode_png(image: UInt8[np.ndarray, "H W 3"]) -> bytes:
-    """An RGB image as PNG, lossless; the same bytes for the same pixels."""
-    done, data = cv2.imencode(".png", np.ascontiguousarray(image[:, :, ::-1]), [cv2.IMWRITE_PNG_COMPRESSION, 1])
-    if not done:
-        raise EdreamError(f"An image of shape {image.shape} cannot be encoded as PNG.")
+def encode_image(image: UInt8[np.ndarray, "H W 3"], kind: str) -> bytes:
+    """An RGB image as "png" (lossless) or "jpeg" (quality 95); the same bytes for the same pixels.
+
+    Raises:
+        EdreamError: there is no such kind.
+    """
+    options = {"png": [cv2.IMWRITE_PNG_COMPRESSION, 1], "jpeg": [cv2.IMWRITE_JPEG_QUALITY, 95]}
+    if kind not in options:
+        raise unknown_name("image encoding (ingest.images)", kind, options)
+    _, data = cv2.imencode(f".{kind}", np.ascontiguousarray(image[:, :, ::-1]), options[kind])
     return data.tobytes()
 
 
