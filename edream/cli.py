@@ -1,0 +1,155 @@
+"""The command line: composes the config, calls the pipeline, prints. Decides nothing."""
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from edream import __version__
+from edream.core.errors import EdreamError
+
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="markdown",
+    context_settings={"help_option_names": ["-h", "--help"]},
+    help="""Make a MuJoCo robot simulator true to recordings.
+
+    Settings are NAME=VALUE words: `robot=so101`, `data=PATH`, `seed=3`. They, and their meaning, stand in the files of `conf/`.
+    """,
+    epilog="""Examples:
+
+    edream ingest robot=so101 robot.mjcf=so101.xml data=recordings/
+
+    edream status runs=runs
+
+    edream explain lerobot_v3
+    """,
+)
+
+Overrides = Annotated[list[str] | None, typer.Argument(metavar="[NAME=VALUE]...", help="Settings, such as robot=so101 or data=PATH.")]
+Conf = Annotated[Path | None, typer.Option("--conf", metavar="DIR", help="A folder of your own config files, searched first.")]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
+Runs = Annotated[list[str] | None, typer.Argument(metavar="[runs=DIR]", help="The folder of artifacts, where it is not ./runs.")]
+
+
+def main() -> None:
+    """Run the command line; a mistake that a user can mend is one sentence and exit code 2."""
+    try:
+        app()
+    except EdreamError as error:
+        print(f"edream: {error}", file=sys.stderr)
+        sys.exit(2)
+    except KeyboardInterrupt:
+        print("edream: interrupted; all finished work is kept, and the same command goes on from there.", file=sys.stderr)
+        sys.exit(130)
+
+
+@app.callback(invoke_without_command=True)
+def _version(version: Annotated[bool, typer.Option("--version", help="Print the version and stop.")] = False) -> None:
+    if version:
+        print(f"edream {__version__}")
+        raise typer.Exit
+
+
+@app.command()
+def ingest(overrides: Overrides = None, conf: Conf = None, json: Json = False) -> None:
+    """Read recordings of any supported format into checked episodes on the robot's joints.
+
+    Example: `edream ingest robot=so101 robot.mjcf=so101.xml data=recordings/`
+    """
+    run("ingest", ("ingest",), overrides, conf, json)
+
+
+@app.command()
+def status(overrides: Overrides = None, conf: Conf = None, json: Json = False) -> None:
+    """Say what exists, what the given settings would still make, and which field of a key changed.
+
+    Examples: `edream status`, `edream status robot=so101 robot.mjcf=so101.xml data=recordings/`
+    """
+    from edream import cli_store
+
+    cli_store.status(_compose(overrides, conf), overrides or [], json)
+
+
+@app.command()
+def verify(overrides: Runs = None, json: Json = False) -> None:
+    """Check every byte of every artifact; name each file that is not what was written.
+
+    Example: `edream verify runs=runs`
+    """
+    from edream import cli_store
+
+    cli_store.verify(_compose(overrides, None), json)
+
+
+@app.command()
+def gc(
+    overrides: Runs = None,
+    forget: Annotated[list[str] | None, typer.Option("--forget", metavar="RUN", help="Forget this run first.")] = None,
+    json: Json = False,
+) -> None:
+    """Remove artifacts that no run names, and what killed processes left.
+
+    Examples: `edream gc`, `edream gc --forget first-try`
+    """
+    from edream import cli_store
+
+    cli_store.gc(_compose(overrides, None), forget or [], json)
+
+
+@app.command()
+def explain(name: Annotated[str, typer.Argument(help="An effect, format, fitter, stage or setting, such as coulomb.")], json: Json = False) -> None:
+    """Explain one thing that edream knows by name.
+
+    Example: `edream explain coulomb`
+    """
+    from edream import cli_explain
+
+    cli_explain.explain(name, json)
+
+
+@app.command()
+def doctor(json: Json = False) -> None:
+    """Say what this machine can run: versions, cores, rendering.
+
+    Example: `edream doctor`
+    """
+    from edream import cli_explain
+
+    cli_explain.doctor(json)
+
+
+def run(command: str, stages: tuple[str, ...], overrides: list[str] | None, conf: Path | None, json: bool) -> None:
+    """Make the stages of a command, write down the run, print the summary of the first and the path of each further one."""
+    from edream import cli_show, pipeline
+
+    cfg = _compose(overrides, conf)
+    with _stdout_for_json(json) as write:
+        made, path = pipeline.make_run(command, stages, cfg)
+        cli_show.result(made, path, write if json else None)
+
+
+def _compose(overrides: list[str] | None, conf: Path | None) -> Any:
+    from edream import config, pipeline
+
+    cfg = config.compose(overrides or [], conf)
+    if conf is not None or any(override.startswith(("+", "~")) for override in overrides or []):
+        pipeline.check_settings(cfg)
+    return cfg
+
+
+@contextmanager
+def _stdout_for_json(json: bool) -> Iterator[Callable[[str], object]]:
+    """Whatever a library prints while a command works goes to stderr, so that --json prints one object alone."""
+    out = sys.stdout
+    if json:
+        sys.stdout = sys.stderr
+    try:
+        yield lambda text: print(text, file=out, flush=True)
+    finally:
+        sys.stdout = out

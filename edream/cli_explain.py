@@ -1,0 +1,103 @@
+"""Commands that tell: explain, doctor."""
+
+import importlib
+import inspect
+import json as json_
+import os
+import platform
+import subprocess
+import sys
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from edream import catalog, cli_show, executor
+from edream.core.errors import unknown_name
+
+PACKAGES = ("mujoco", "numpy", "scipy", "torch", "pyarrow", "h5py", "av", "mcap", "hydra-core", "safetensors", "cma")
+RENDER = """
+import mujoco, OpenGL.GL as gl
+context = mujoco.GLContext(64, 64); context.make_current()
+print(gl.glGetString(gl.GL_RENDERER).decode())
+"""
+
+
+def explain(name: str, json: bool) -> None:
+    """Print what an entry of any catalog is, from its own docstring.
+
+    Raises:
+        EdreamError: no catalog has such an entry.
+    """
+    places = {entry: folder for folder in reversed(_catalogs()) for entry in catalog.names(folder)}
+    if name not in places:
+        raise unknown_name("entry", name, places)
+    module = importlib.import_module(f"edream.{places[name]}.{name}")
+    found: dict[str, Any] = {"name": name, "catalog": places[name], "text": _text(module)}
+    parameters = getattr(module.ENTRY, "parameters", None)
+    if isinstance(parameters, tuple):
+        found["parameters"] = [str(one) for one in parameters]
+    if json:
+        print(json_.dumps(found, indent=2))
+    else:
+        print(f"{name} ({places[name]})\n\n{found['text']}")
+
+
+def doctor(json: bool) -> None:
+    """Print versions, cores and what can be rendered."""
+    found = {
+        "edream": _version("edream") or "from a checkout",
+        "python": platform.python_version(),
+        "system": platform.platform(),
+        "cores": executor.cores(),
+        "OMP_NUM_THREADS": os.environ.get("OMP_NUM_THREADS"),
+        "packages": {name: _version(name) or "missing" for name in PACKAGES},
+        "rendering": {kind: _renderer(kind) for kind in ("egl", "osmesa")},
+    }
+    found["torch threads"] = _torch_threads()
+    missing = [name for name, there in found["packages"].items() if there == "missing"]
+    draws = [kind for kind, renderer in found["rendering"].items() if not renderer.startswith("no")]
+    found["can run"] = {
+        "ingest, calibrate, diagnose, replay": "yes" if not missing else f"no: {', '.join(missing)} missing",
+        "rendering": f"yes, MUJOCO_GL={draws[0]}" if draws else "no: neither EGL nor OSMesa works; install libegl1 or libosmesa6",
+    }
+    if json:
+        print(json_.dumps(found, indent=2))
+    else:
+        cli_show.table(found)
+
+
+def _catalogs() -> list[str]:
+    """Folders of the package whose files are entries."""
+    root = Path(__file__).parent
+    folders = sorted(path.parent.name for path in root.glob("*/__init__.py"))
+    return [folder for folder in folders if any("\nENTRY" in path.read_text() for path in (root / folder).glob("[!_]*.py"))]
+
+
+def _text(module: Any) -> str:
+    entry = module.ENTRY
+    own = inspect.getdoc(type(entry)) if type(entry).__module__ == module.__name__ else None
+    parts = [inspect.getdoc(module), own, getattr(entry, "summary", None)]
+    return "\n\n".join(dict.fromkeys(part for part in parts if part))
+
+
+def _renderer(kind: str) -> str:
+    """Name of the renderer behind MuJoCo's classic renderer, asked of another process: a broken driver can end it."""
+    environment = os.environ | {"MUJOCO_GL": kind, "PYOPENGL_PLATFORM": kind}
+    asked = subprocess.run([sys.executable, "-c", RENDER], env=environment, capture_output=True, text=True, timeout=60)
+    lines = (asked.stdout if asked.returncode == 0 else asked.stderr).strip().splitlines()
+    return lines[-1] if asked.returncode == 0 and lines else f"no: {lines[-1] if lines else f'exit code {asked.returncode}'}"
+
+
+def _torch_threads() -> int | None:
+    if _version("torch") is None:
+        return None
+    import torch
+
+    return torch.get_num_threads()
+
+
+def _version(name: str) -> str | None:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return None

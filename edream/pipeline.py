@@ -1,0 +1,316 @@
+"""The order of stages: what a stage needs is made first, and nothing is made twice."""
+
+import hashlib
+import os
+import platform
+import re
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from omegaconf import DictConfig
+
+from edream import catalog, config, executor, kinds
+from edream.core.errors import EdreamError
+from edream.core.stage import Source, Stage
+from edream.store import Store, StoredArtifact, writing
+from edream.work import StageWork
+
+PACKAGES = ("edream", "numpy", "mujoco", "torch", "pyarrow", "scipy", "mcap", "safetensors")
+
+
+@dataclass(frozen=True)
+class Plumbing:
+    """What the pipeline itself reads from the config.
+
+    Attributes:
+        runs: folder of the store.
+        run: name for what a command makes, or None to name it by its content.
+        executor: where shards run.
+    """
+
+    @dataclass(frozen=True)
+    class Executor:
+        kind: str
+        workers: int
+
+    runs: Path
+    executor: Executor
+    run: str | None = None
+
+
+def make(name: str, cfg: DictConfig) -> StoredArtifact:
+    """The artifact of a stage under a config; made where it is not there yet, with all that it needs.
+
+    Args:
+        name: the stage.
+        cfg: the composed config.
+
+    Raises:
+        EdreamError: a setting or an input is wrong, the disk is full, or an artifact that is needed is corrupt.
+    """
+    store = open_store(cfg)
+    plumbing = config.read(cfg, Plumbing)
+    places = executor.create(plumbing.executor.kind, plumbing.executor.workers)
+    return _make(name, cfg, store, places, {})
+
+
+def make_run(command: str, names: Sequence[str], cfg: DictConfig) -> tuple[dict[str, StoredArtifact], Path]:
+    """Make several stages and write down the run, so that `gc` keeps them.
+
+    Args:
+        command: what the user typed, for the record.
+        names: the stages, the most important first.
+        cfg: the composed config.
+
+    Returns:
+        The artifacts asked for and then all that they were made from, and the file that names them.
+    """
+    store = open_store(cfg)
+    with store.session():
+        made = {name: make(name, cfg) for name in names}
+        for artifact in list(made.values()):
+            made |= {name: one for name, one in chain(store, artifact).items() if name not in made}
+        keys = {name: artifact.key for name, artifact in made.items()}
+        name = config.read(cfg, Plumbing).run or hashlib.sha256(kinds.canonical([command, keys])).hexdigest()[:10]
+        if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]*", name):
+            raise EdreamError(f"run={name!r} cannot be a run's name; expected letters, digits, '.', '_' and '-' only.")
+        record = {"command": command, "made": keys}
+        path = store.run_file(name)
+        if store.runs().get(name) != record:
+            store.name_run(name, record)
+    return made, path
+
+
+def open_store(cfg: DictConfig) -> Store:
+    """The store that the config names."""
+    return Store(config.read(cfg, Plumbing).runs)
+
+
+def stage(name: str) -> Stage:
+    """A stage by its name.
+
+    Raises:
+        EdreamError: there is no such stage.
+    """
+    return catalog.load("stages", name, Stage)
+
+
+def check_settings(cfg: DictConfig) -> None:
+    """Refuse settings that no stage reads: misspelt ones in a config file of the user's own.
+
+    Raises:
+        EdreamError: naming the setting.
+    """
+    kinds_ = [stage(name).config for name in catalog.names("stages")]
+    config.check_known(cfg, [*kinds_, Plumbing])
+
+
+def chain(store: Store, artifact: StoredArtifact) -> dict[str, StoredArtifact]:
+    """An artifact and everything it was made from, stage name -> artifact."""
+    found = {artifact.stage: artifact}
+    for name, key in artifact.manifest["parents"].items():
+        parent = store.find(name, key)
+        if parent is not None and name not in found:
+            found |= {k: v for k, v in chain(store, parent).items() if k not in found}
+    return found
+
+
+@dataclass(frozen=True)
+class Step:
+    """One stage in a plan: what exists of it, and what of its key is new against the newest artifact there is.
+
+    Attributes:
+        stage: its name.
+        key: its key, or None where an input must be made first.
+        state: "made", "partly made" (a killed run left shards), "not made" or "waits for <stage>".
+        changes: fields of the key that differ from the newest artifact of this stage, each with its old and new value.
+    """
+
+    stage: str
+    key: str | None
+    state: str
+    changes: tuple[str, ...] = ()
+
+
+def plan(name: str, cfg: DictConfig) -> list[Step]:
+    """What `make` would find and do, in order, without doing it."""
+    store = open_store(cfg)
+    steps: dict[str, Step] = {}
+    _plan(name, cfg, store, {artifact.stage: artifact for artifact in store.artifacts()}, steps)
+    return list(steps.values())
+
+
+def _plan(name: str, cfg: DictConfig, store: Store, newest: Mapping[str, StoredArtifact], steps: dict[str, Step]) -> StoredArtifact | None:
+    entry = stage(name)
+    settings = config.read(cfg, entry.config)
+    inputs = {}
+    for need in entry.needs_for(settings):
+        made = _plan(need, cfg, store, newest, steps)
+        if made is None:
+            steps[name] = Step(name, None, f"waits for {need}")
+        else:
+            inputs[need] = made
+    if name in steps:
+        return store.find(name, steps[name].key or "") if steps[name].key else None
+    key_fields = _key_fields(entry, settings, inputs)
+    key = _key(key_fields)
+    found = store.find(name, key)
+    if found is not None:
+        steps[name] = Step(name, key, "made")
+        return found
+    old = newest.get(name)
+    changes = tuple(differences(old.manifest["fields"], key_fields)) if old is not None else ()
+    steps[name] = Step(name, key, "partly made" if store.work(name, key).is_dir() else "not made", changes)
+    return None
+
+
+def differences(old: Any, new: Any, where: str = "") -> Iterator[str]:
+    """What differs between two nested values, one "name: old -> new" each."""
+    if isinstance(old, Mapping) and isinstance(new, Mapping):
+        for key in sorted(old.keys() | new.keys()):
+            yield from differences(old.get(key), new.get(key), f"{where}.{key}" if where else str(key))
+    elif old != new:
+        yield f"{where}: {old} -> {new}"
+
+
+def _make(name: str, cfg: DictConfig, store: Store, places: executor.Executor, made: dict[str, StoredArtifact]) -> StoredArtifact:
+    if name in made:
+        return made[name]
+    entry = stage(name)
+    settings = config.read(cfg, entry.config)
+    inputs = {need: _make(need, cfg, store, places, made) for need in entry.needs_for(settings)}
+    key_fields = _key_fields(entry, settings, inputs)
+    key = _key(key_fields)
+    found = store.find(name, key)
+    if found is None:
+        with store.session(), store.lock(name, key, lambda: _say(f"{name}: another process is making this; waiting for it")):
+            found = store.find(name, key) or _run(entry, settings, inputs, key_fields, store, places)
+    made[name] = found
+    return found
+
+
+def _run(
+    entry: Stage,
+    settings: Any,
+    inputs: Mapping[str, StoredArtifact],
+    key_fields: Mapping[str, Any],
+    store: Store,
+    places: executor.Executor,
+) -> StoredArtifact:
+    key = _key(key_fields)
+    if sys.stderr.isatty():
+        _say(f"{entry.name} ...")
+    started, clock = datetime.now(UTC), time.perf_counter()
+    with writing(store.root):
+        bundle = entry.run(inputs, settings, StageWork(store, entry.name, key, places))
+    manifest = {
+        "stage": entry.name,
+        "key": key,
+        "fields": key_fields,
+        "parents": {need: artifact.key for need, artifact in inputs.items()},
+        "made": _made(started, time.perf_counter() - clock),
+    }
+    return store.publish(manifest, bundle)
+
+
+def _key_fields(entry: Stage, settings: Any, inputs: Mapping[str, StoredArtifact]) -> dict[str, Any]:
+    """All that a key is the hash of, as plain JSON values."""
+    sources = entry.sources(settings) if entry.sources else _paths(settings)
+    return kinds.plain(
+        {
+            "stage": entry.name,
+            "version": entry.version,
+            "config": _without_paths(asdict(settings)),
+            "inputs": {need: artifact.digest for need, artifact in inputs.items()},
+            "sources": {name: source_digest(source) for name, source in sources.items()},
+            "numerics": _numerics(entry.numerics),
+        }
+    )
+
+
+def _key(key_fields: Mapping[str, Any]) -> str:
+    return hashlib.sha256(kinds.canonical(key_fields)).hexdigest()[:20]
+
+
+def source_digest(source: Source) -> str:
+    """Hash of the content of a file, of a folder with the names in it, or of bytes.
+
+    Raises:
+        EdreamError: nothing lies there.
+    """
+    if isinstance(source, bytes):
+        return hashlib.sha256(source).hexdigest()
+    if source.is_file():
+        return kinds.file_digest(source)
+    if not source.is_dir():
+        raise EdreamError(f"There is nothing at {source}. Expected a file or a folder.")
+    total = hashlib.sha256()
+    for path in sorted(path for path in source.rglob("*") if path.is_file()):
+        total.update(f"{path.relative_to(source).as_posix()}\0{kinds.file_digest(path)}\n".encode())
+    return total.hexdigest()
+
+
+def _paths(settings: Any, where: str = "") -> dict[str, Source]:
+    found: dict[str, Source] = {}
+    for field in fields(settings):
+        value = getattr(settings, field.name)
+        if isinstance(value, Path):
+            found[where + field.name] = value
+        elif hasattr(value, "__dataclass_fields__"):
+            found |= _paths(value, f"{where}{field.name}.")
+    return found
+
+
+def _without_paths(values: Any) -> Any:
+    if isinstance(values, Mapping):
+        return {name: _without_paths(value) for name, value in values.items() if not isinstance(value, Path)}
+    return values
+
+
+def _numerics(packages: tuple[str, ...]) -> dict[str, str]:
+    found = {package: version(package) for package in packages}
+    if "torch" in packages:
+        found["torch threads"] = os.environ.get("OMP_NUM_THREADS") or str(executor.cores())
+    return found
+
+
+def _made(started: datetime, seconds: float) -> dict[str, Any]:
+    """Who, when and where: for reading, never for keys."""
+    return {
+        "at": started.isoformat(timespec="milliseconds"),
+        "seconds": round(seconds, 3),
+        "git": _commit(),
+        "argv": [Path(sys.argv[0]).name, *sys.argv[1:]],
+        "versions": {package: found for package in PACKAGES if (found := _version(package))},
+        "machine": {"system": platform.platform(), "python": platform.python_version(), "cores": executor.cores()},
+    }
+
+
+def _version(package: str) -> str | None:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return None
+
+
+def _commit() -> str | None:
+    """The commit of edream's own checkout, or None where it is installed."""
+    root = Path(__file__).parent.parent
+    if not (root / ".git").exists():
+        return None
+    try:
+        found = subprocess.run(["git", "-C", str(root), "rev-parse", "HEAD"], capture_output=True, text=True, timeout=10)
+    except (FileNotFoundError, subprocess.TimeoutExpired):
+        return None
+    return found.stdout.strip() or None
+
+
+def _say(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
