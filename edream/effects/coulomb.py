@@ -7,6 +7,7 @@ import numpy as np
 
 from edream.core.effect import Effect, Fields, Values, joint_index
 from edream.core.parameters import Parameter
+from edream.sim.friction import hold_still
 from edream.sim.scales import largest
 
 
@@ -15,7 +16,8 @@ class Coulomb(Effect):
 
         tau = -F sign(qd), |tau| <= F at rest
 
-    Shows up as a loop of half width F/kp between measured and commanded position. Writes `frictionloss`, a constraint that sticks.
+    Shows up as a loop of half width F/kp between measured and commanded position. Writes `frictionloss`, hardened so that
+    a stuck joint does not creep (`edream.sim.friction`).
     Parameter: torque F [N m], absolute. Source: Olsson et al., European Journal of Control 4(3), 1998.
     """
 
@@ -28,6 +30,9 @@ class Coulomb(Effect):
         nominal = float(model.dof_frictionloss[joint_index(model, targets[0])["dof"]])
         high = max(5.0 * nominal, largest(model, targets))
         return (Parameter("torque", "N m", 0.0, high, float(np.clip(nominal, 0.0, high)), absent=0.0),)
+
+    def edit(self, spec: mujoco.MjSpec, target: str) -> None:
+        hold_still(spec, target)
 
     def write(self, fields: Fields, target: str, values: Values) -> None:
         fields["dof_frictionloss"][:, joint_index(fields.model, target)["dof"]] = values["torque"]

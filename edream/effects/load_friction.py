@@ -7,6 +7,7 @@ import mujoco
 
 from edream.core.effect import Effect, State
 from edream.core.parameters import Parameter
+from edream.sim.friction import hold_still
 
 
 def load_friction(state: State, index: dict[str, int], values: dict[str, Any]) -> None:
@@ -33,6 +34,9 @@ class LoadFriction(Effect):
 
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
         return (Parameter("slope", "1", 0.0, 2.0, 0.0, absent=0.0),)
+
+    def edit(self, spec: mujoco.MjSpec, target: str) -> None:
+        hold_still(spec, target)
 
 
 ENTRY = LoadFriction()
