@@ -61,3 +61,15 @@ def _number(file: Path, line: int, name: str, cell: str) -> float:
     if not math.isfinite(number):
         raise EdreamError(f"{file}, row {line}: {name} is {cell!r}; expected a finite number.")
     return number
+
+
+def write_conditions(table: Mapping[str, Mapping[str, float]], folder: Path) -> None:
+    """Write `conditions.csv` into a folder; nothing where no recording has any."""
+    names = list(dict.fromkeys(name for row in table.values() for name in row))
+    if not names:
+        return
+    with (folder / FILE).open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(["recording", *names])
+        for recording, row in table.items():
+            writer.writerow([recording, *(repr(float(row[name])) if name in row else "" for name in names)])
