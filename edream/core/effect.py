@@ -71,6 +71,19 @@ class Effect(ABC):
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
         """What is unknown, with bounds that suit this robot; names are the quantity alone, such as "torque"."""
 
+    def probes(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[dict[str, float], ...]:
+        """Small but visible versions of this effect, each a full set of quantities, for the score test of a diagnosis.
+
+        By default one: each parameter that has an `absent` value moves from it by 5 % of its range, into the box; the others stay
+        at their start. An effect whose shape matters gives several (Stribeck speeds, cogging periods, directions of an offset).
+        """
+        probe = {}
+        for p in self.parameters(model, targets):
+            step = 0.05 * (p.high - p.low)
+            moved = p.start if p.absent is None else p.absent + (step if p.absent + step <= p.high else -step)
+            probe[p.name] = moved
+        return (probe,)
+
     def edit(self, spec: mujoco.MjSpec, target: str) -> None:  # noqa: B027 - most effects need no structure
         """Add the structure that `write` fills, once, before compilation, for one target."""
 

@@ -95,9 +95,21 @@ def rollout(
         EdreamError: a recording lacks a condition that scales a parameter.
     """
     values = np.atleast_2d(np.asarray(values, dtype=float))
+    return _run(simulated, np.broadcast_to(values, (len(windows), *values.shape)), windows, threads)
+
+
+def rollout_each(
+    simulated: SimulatedRobot, values: Float[np.ndarray, "W P"], windows: Sequence[Window], threads: int = 0
+) -> list[Float[np.ndarray, "T J"]]:
+    """As `rollout`, with a parameter set of its own for each window: set w replays window w alone."""
+    return [one[0] for one in _run(simulated, np.asarray(values, dtype=float)[:, None, :], windows, threads)]
+
+
+def _run(simulated: SimulatedRobot, values: np.ndarray, windows: Sequence[Window], threads: int) -> list[np.ndarray]:
+    """Replay window w under each of the sets `values[w]`, (W, N, P)."""
     order = np.argsort([-window.times[-1] for window in windows], kind="stable")
     ordered = [windows[i] for i in order]
-    replay = _Replay(simulated, values, ordered, threads)
+    replay = _Replay(simulated, values[order], ordered, threads)
     results = replay.run()
     out: list[np.ndarray] = [results[0]] * len(windows)
     for place, result in zip(order, results, strict=True):
@@ -110,7 +122,7 @@ class _Replay:
 
     def __init__(self, simulated: SimulatedRobot, values: np.ndarray, windows: Sequence[Window], threads: int) -> None:
         self.windows, self.model = windows, simulated.model
-        self.n, self.w = len(values), len(windows)
+        self.w, self.n = values.shape[:2]
         self.step = float(self.model.opt.timestep)
         joints = windows[0].episode.joints
         self.index = [joint_index(self.model, joint) for joint in joints]
@@ -118,7 +130,7 @@ class _Replay:
         # simulation number = window * N + set, so that the simulations of ended windows are the last rows
         self.batch = batch.Batch(self.model, self.n * self.w, threads)
         conditions = [window.episode.conditions for window in windows for _ in range(self.n)]
-        numbers = simulated.quantities(np.tile(values, (self.w, 1)), conditions)
+        numbers = simulated.quantities(values.reshape(self.w * self.n, -1), conditions)
         self._gains = _Servos(self.batch, self.model)
         write_fields(simulated, self.batch, numbers)
         self._gains.remember()
