@@ -134,10 +134,14 @@ def _video(opened: h5py.File, file: Path, camera: str, times: np.ndarray, option
     assert images is not None
     swap, what, shape = options.colour == "bgr", f"{file}, camera {camera!r}", images.shape
     if images.dtype != np.uint8 or len(shape) not in (2, 4) or shape[0] != len(times):
-        raise EdreamError(f"{what} holds {images.dtype} of shape {shape}; expected uint8 (rows, height, width, 3) or (rows, bytes), {len(times)} rows.")
+        raise EdreamError(
+            f"{what} holds {images.dtype} of shape {shape}; expected uint8 (rows, height, width, 3) or (rows, bytes), {len(times)} rows."
+        )
     if len(shape) == 4:
         if shape[3] != 3 or not 0 < shape[1] * shape[2] <= MAX_PIXELS:
-            raise EdreamError(f"{what} has images of shape {shape[1:]}; expected (height, width, 3) of at most {MAX_PIXELS} pixels.")
+            raise EdreamError(
+                f"{what} has images of shape {shape[1:]}; expected (height, width, 3) of at most {MAX_PIXELS} pixels."
+            )
         return Video(times, shape[1], shape[2], RawRows(file, name, swap))
     if shape[1] > hdf5_file.MAX_CHUNK:
         raise EdreamError(f"{what} declares images of {shape[1]} bytes; expected at most {hdf5_file.MAX_CHUNK}.")
@@ -159,7 +163,9 @@ def _write(recording: Recording, file: Path) -> None:
                 seen.create_dataset(what, data=array)
         for camera, video in recording.videos.items():
             if len(video.times) != len(recording.times):
-                raise EdreamError(f"Recording {recording.name!r}: camera {camera!r} has {len(video.times)} images for {len(recording.times)} rows; ALOHA needs one each.")
+                raise EdreamError(
+                    f"Recording {recording.name!r}: camera {camera!r} has {len(video.times)} images for {len(recording.times)} rows; ALOHA needs one each."
+                )
             shape = (len(video.times), video.height, video.width, 3)
             images = out.create_dataset(f"observations/images/{camera}", shape, np.uint8, chunks=(1, *shape[1:]))
             for row, image in enumerate(video.frames()):

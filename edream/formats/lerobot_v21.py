@@ -54,7 +54,9 @@ def _episodes(info: lerobot.Info) -> list[dict[str, Any]]:
         index = row.get("episode_index") if isinstance(row, dict) else None
         length = row.get("length") if isinstance(row, dict) else None
         if type(index) is not int or type(length) is not int or index < 0 or not 0 <= length <= MAX_ROWS:
-            raise EdreamError(f"{file}, line {number}: episode_index {index!r} and length {length!r} must be whole numbers from 0 on.")
+            raise EdreamError(
+                f"{file}, line {number}: episode_index {index!r} and length {length!r} must be whole numbers from 0 on."
+            )
         rows.append(row)
     if len({row["episode_index"] for row in rows}) != len(rows):
         raise EdreamError(f"{file} lists an episode twice; expected each episode_index once.")

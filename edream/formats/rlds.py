@@ -112,7 +112,9 @@ def _index(path: Path) -> tuple[list[_Place], list[Malformed]]:
 
 def _read(place: _Place, options: ReadOptions) -> Recording:
     features = tfrecord.example(tfrecord.record_at(place.file, place.offset))
-    rows = max((len(value) for key, value in features.items() if key in ("steps/is_first", "steps/reward", "steps/is_last")), default=0)
+    rows = max(
+        (len(value) for key, value in features.items() if key in ("steps/is_first", "steps/reward", "steps/is_last")), default=0
+    )
     if rows < 2:
         raise EdreamError(f"it has {rows} steps (by steps/is_first); expected at least 2.")
     position, channels = _table(features, options.position or (STATE,), rows)
@@ -148,7 +150,9 @@ def _table(features: dict[str, tfrecord.Feature], keys: tuple[str, ...], rows: i
     return np.concatenate(columns, axis=1), tuple(names)
 
 
-def _videos(place: _Place, features: dict[str, tfrecord.Feature], times: np.ndarray, options: ReadOptions) -> tuple[dict[str, Video], list[str]]:
+def _videos(
+    place: _Place, features: dict[str, tfrecord.Feature], times: np.ndarray, options: ReadOptions
+) -> tuple[dict[str, Video], list[str]]:
     videos, absent = {}, []
     for key, images in sorted(features.items()):
         if not key.startswith("steps/observation/") or not isinstance(images, list) or not images or not image_kind(images[0]):

@@ -72,7 +72,9 @@ def _is_table(file: Path) -> bool:
     if not start or b"\x00" in start or start.startswith(LFS_MARK):
         return file.suffix == ".csv"
     line = start.split(b"\n", 1)[0]
-    return file.suffix in (".csv", ".tsv") or (file.suffix in (".txt", "") and line.count(b",") + line.count(b";") + line.count(b"\t") > 0)
+    return file.suffix in (".csv", ".tsv") or (
+        file.suffix in (".txt", "") and line.count(b",") + line.count(b";") + line.count(b"\t") > 0
+    )
 
 
 def _header(file: Path) -> list[str]:
@@ -94,13 +96,17 @@ def _rows(file: Path, lines: list[str]) -> list[list[str]]:
 def _read(file: Path, name: str, options: ReadOptions) -> Recording:
     names = _header(file)
     if len(set(names)) != len(names) or len(names) > MAX_CHANNELS:
-        raise EdreamError(f"{file} has {len(names)} columns, {len(names) - len(set(names))} of them named twice; expected up to {MAX_CHANNELS}, each named once.")
+        raise EdreamError(
+            f"{file} has {len(names)} columns, {len(names) - len(set(names))} of them named twice; expected up to {MAX_CHANNELS}, each named once."
+        )
     time = _time_column(file, names, options)
     command = options.command or _guess(names, time, ("command", "cmd", "target", "desired", "goal", "action", "setpoint"))
     position = options.position or _guess(names, time, ("position", "pos", "measured", "actual", "state"), without=command)
     for what, columns in (("command", command), ("position", position)):
         if not columns:
-            raise EdreamError(f"{file}: which columns are the {what}s? Name them as ingest.{what}=[COLUMN,...]. What exists: {', '.join(names)}.")
+            raise EdreamError(
+                f"{file}: which columns are the {what}s? Name them as ingest.{what}=[COLUMN,...]. What exists: {', '.join(names)}."
+            )
         for column in columns:
             if column not in names:
                 raise unknown_name(f"column in {file.name}", column, names)
@@ -133,8 +139,35 @@ def _guess(names: list[str], time: str, words: tuple[str, ...], without: tuple[s
 
 def _plain(columns: tuple[str, ...]) -> tuple[str, ...]:
     """Channel names without what only says which of the two they are."""
-    marks = ("command_", "commanded_", "cmd_", "target_", "desired_", "goal_", "action_", "position_", "measured_", "actual_", "state_", "pos_")
-    ends = ("_command", "_cmd", "_target", "_desired", "_goal", "_action", "_position", "_measured", "_actual", "_state", "_pos", ".pos", ".cmd")
+    marks = (
+        "command_",
+        "commanded_",
+        "cmd_",
+        "target_",
+        "desired_",
+        "goal_",
+        "action_",
+        "position_",
+        "measured_",
+        "actual_",
+        "state_",
+        "pos_",
+    )
+    ends = (
+        "_command",
+        "_cmd",
+        "_target",
+        "_desired",
+        "_goal",
+        "_action",
+        "_position",
+        "_measured",
+        "_actual",
+        "_state",
+        "_pos",
+        ".pos",
+        ".cmd",
+    )
     plain = []
     for column in columns:
         for mark in marks:

@@ -33,7 +33,13 @@ POSE_SCHEMA = {
 Row = tuple[int, int, int, bytes]  # log time [ns], rank among equals, channel, message
 
 
-def write_episode(episode: Episode, path: Path, provenance: Mapping[str, str] | None = None, config: Mapping[str, Any] | None = None, images: str = "png") -> None:
+def write_episode(
+    episode: Episode,
+    path: Path,
+    provenance: Mapping[str, str] | None = None,
+    config: Mapping[str, Any] | None = None,
+    images: str = "png",
+) -> None:
     """Write one episode as one MCAP file that opens in Foxglove and reads back exactly.
 
     Topics: `/joint_states` and `/joint_commands` (foxglove.JointStates), `/torque_enable` at each change, and for each camera
@@ -95,11 +101,17 @@ def _joint_rows(writer: Writer, episode: Episode, start: int) -> Iterator[Iterat
     if episode.enabled is not None:
         switch = writer.register_channel(SWITCH, "json", _json_schema(writer, SWITCH_SCHEMA))
         yield _switches(switch, episode, start)
-    yield _states(states, 2, nanoseconds(episode.times) + start, episode.joints, (episode.position, episode.velocity, episode.effort))
+    yield _states(
+        states, 2, nanoseconds(episode.times) + start, episode.joints, (episode.position, episode.velocity, episode.effort)
+    )
 
 
 def _states(
-    channel: int, rank: int, times: np.ndarray, joints: tuple[str, ...], values: tuple[np.ndarray, np.ndarray | None, np.ndarray | None]
+    channel: int,
+    rank: int,
+    times: np.ndarray,
+    joints: tuple[str, ...],
+    values: tuple[np.ndarray, np.ndarray | None, np.ndarray | None],
 ) -> Iterator[Row]:
     names = ("position", "velocity", "effort")
     kept = [(name, array.tolist()) for name, array in zip(names, values, strict=True) if array is not None]

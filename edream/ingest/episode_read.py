@@ -47,7 +47,9 @@ def read_recording(path: Path) -> Recording:
     """
     topics = mcap_file.peek(path)
     if topics is not None and topics.profile != PROFILE:
-        raise EdreamError(f"{path} is an MCAP file of another program (profile {topics.profile!r}); run 'edream ingest' on it first.")
+        raise EdreamError(
+            f"{path} is an MCAP file of another program (profile {topics.profile!r}); run 'edream ingest' on it first."
+        )
     signals = read_signals(path)
     about = signals.metadata.get("episode", {})
     try:
@@ -61,7 +63,9 @@ def read_recording(path: Path) -> Recording:
     command_times, command, _, _ = _table(path, signals, COMMANDS, joints, start)
     videos = rebased(signals.videos, start, LOG)
     if sorted(videos) != sorted(cameras):
-        raise EdreamError(f"{path} is damaged: it has images of {', '.join(sorted(videos)) or 'no camera'}; expected {', '.join(sorted(cameras)) or 'none'}.")
+        raise EdreamError(
+            f"{path} is damaged: it has images of {', '.join(sorted(videos)) or 'no camera'}; expected {', '.join(sorted(cameras)) or 'none'}."
+        )
     return Recording(
         name=name,
         times=times,
@@ -79,7 +83,9 @@ def read_recording(path: Path) -> Recording:
     )
 
 
-def _table(path: Path, signals: Signals, topic: str, joints: tuple[str, ...], start: int) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, np.ndarray | None]:
+def _table(
+    path: Path, signals: Signals, topic: str, joints: tuple[str, ...], start: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, np.ndarray | None]:
     if topic not in signals.joints or signals.joints[topic].names != joints:
         raise EdreamError(f"{path} is damaged: topic {topic} does not carry the joints {', '.join(joints) or 'none'}.")
     rows = signals.joints[topic]

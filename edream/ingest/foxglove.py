@@ -152,7 +152,16 @@ def image_bytes(body: Any) -> bytes:
 def camera_name(topic: str) -> str:
     """A camera's name from its topic: `/camera/NAME/image` -> NAME."""
     parts = [part for part in topic.split("/") if part]
-    while len(parts) > 1 and parts[-1].lower() in ("image", "compressed", "image_raw", "calibration", "camera_info", "pose", "color", "image_compressed"):
+    while len(parts) > 1 and parts[-1].lower() in (
+        "image",
+        "compressed",
+        "image_raw",
+        "calibration",
+        "camera_info",
+        "pose",
+        "color",
+        "image_compressed",
+    ):
         parts.pop()
     return "_".join(parts[1:] if len(parts) > 1 and parts[0] in ("camera", "cameras") else parts) or "camera"
 

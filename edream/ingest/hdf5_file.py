@@ -49,7 +49,9 @@ def entry(group: h5py.Group, name: str) -> h5py.Group | h5py.Dataset | None:
         link = group.get(part, getlink=True)
         if not isinstance(link, h5py.HardLink):
             target = getattr(link, "filename", None) or getattr(link, "path", "?")
-            raise EdreamError(f"{group.file.filename}: {group.name.rstrip('/')}/{part} is a link to {target!r}; links are not followed.")
+            raise EdreamError(
+                f"{group.file.filename}: {group.name.rstrip('/')}/{part} is a link to {target!r}; links are not followed."
+            )
         group = group[part]
     if isinstance(group, h5py.Dataset) and (group.external or group.is_virtual):
         raise EdreamError(f"{group.file.filename}: {group.name} keeps its data in other files; they are not opened.")
@@ -86,7 +88,9 @@ def table(group: h5py.Group, name: str) -> np.ndarray | None:
         return None
     shape = found.shape
     if shape is None or len(shape) != 2 or shape[0] > MAX_ROWS or shape[1] > MAX_CHANNELS or shape[0] * shape[1] * 8 > MAX_ARRAY:
-        raise EdreamError(f"{group.file.filename}: {name!r} has shape {shape}; expected (rows, channels), at most {MAX_ROWS} x {MAX_CHANNELS}.")
+        raise EdreamError(
+            f"{group.file.filename}: {name!r} has shape {shape}; expected (rows, channels), at most {MAX_ROWS} x {MAX_CHANNELS}."
+        )
     return np.asarray(found[()], dtype=np.float64)
 
 

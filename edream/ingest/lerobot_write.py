@@ -96,13 +96,20 @@ class _Writer:
         found = _features(recording, self.images)
         if found != self.features:
             odd = sorted(key for key in found.keys() | self.features.keys() if found.get(key) != self.features.get(key))
-            raise EdreamError(f"Recording {recording.name!r} differs from the first in {', '.join(odd)}; one LeRobot data set holds one robot with one set of cameras.")
+            raise EdreamError(
+                f"Recording {recording.name!r} differs from the first in {', '.join(odd)}; one LeRobot data set holds one robot with one set of cameras."
+            )
         index, length = len(self.rows), len(recording.times)
         task = recording.notes.get("task") or recording.name
         self.tasks.setdefault(task, len(self.tasks))
         stats = Stats()
         row: dict[str, Any] = {"episode_index": index, "tasks": [task], "length": length}
-        row |= {"data/chunk_index": 0, "data/file_index": self.file, "dataset_from_index": self.frames, "dataset_to_index": self.frames + length}
+        row |= {
+            "data/chunk_index": 0,
+            "data/file_index": self.file,
+            "dataset_from_index": self.frames,
+            "dataset_to_index": self.frames + length,
+        }
         numbers = _numbers(recording, self.fps) | {
             "frame_index": np.arange(length),
             "episode_index": np.full(length, index),
@@ -118,7 +125,10 @@ class _Writer:
             if self.images == "video":
                 self._write_video(key, recording, video)
                 row |= {f"videos/{key}/chunk_index": 0, f"videos/{key}/file_index": index}
-                row |= {f"videos/{key}/from_timestamp": 0.0, f"videos/{key}/to_timestamp": float(recording.times[-1] - recording.times[0]) + 1.0 / self.fps}
+                row |= {
+                    f"videos/{key}/from_timestamp": 0.0,
+                    f"videos/{key}/to_timestamp": float(recording.times[-1] - recording.times[0]) + 1.0 / self.fps,
+                }
             else:
                 table = table.append_column(key, _image_column(recording, camera, video))
         self._write_table(table)
@@ -180,7 +190,9 @@ class _Writer:
             "fps": self.fps,
             "splits": {"train": f"0:{len(self.rows)}"},
             "data_path": "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet",
-            "video_path": "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4" if self.images == "video" else None,
+            "video_path": "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
+            if self.images == "video"
+            else None,
             "features": self.features,
         }
         _write_json(info, meta / "info.json")
@@ -217,7 +229,9 @@ def _column(array: np.ndarray, dtype: str) -> pa.Array:
 
 def _counted(recording: Recording, key: str, video: Video) -> Iterable[np.ndarray]:
     if len(video.times) != len(recording.times):
-        raise EdreamError(f"Recording {recording.name!r}: camera {key!r} has {len(video.times)} images for {len(recording.times)} rows; LeRobot needs one each.")
+        raise EdreamError(
+            f"Recording {recording.name!r}: camera {key!r} has {len(video.times)} images for {len(recording.times)} rows; LeRobot needs one each."
+        )
     return video.frames()
 
 
@@ -227,16 +241,31 @@ def _image_column(recording: Recording, camera: str, video: Video) -> pa.Array:
     encoded = video.frames.encoded() if untouched else (encode_image(image, "png") for image in frames)  # type: ignore[union-attr]
     rows = [{"bytes": data, "path": f"frame-{row:06d}.png"} for row, data in enumerate(encoded)]
     if len(rows) != len(recording.times):
-        raise EdreamError(f"Recording {recording.name!r}: camera {camera!r} has {len(rows)} images for {len(recording.times)} rows.")
+        raise EdreamError(
+            f"Recording {recording.name!r}: camera {camera!r} has {len(rows)} images for {len(recording.times)} rows."
+        )
     return pa.array(rows, IMAGE)
 
 
 def _write_tasks(tasks: Mapping[str, int], file: Path) -> None:
-    table = pa.table({"task_index": pa.array(list(tasks.values()), pa.int64()), "__index_level_0__": pa.array(list(tasks), pa.string())})
+    table = pa.table(
+        {"task_index": pa.array(list(tasks.values()), pa.int64()), "__index_level_0__": pa.array(list(tasks), pa.string())}
+    )
     # the client reads this with pandas and looks tasks up in the index
-    described = {"name": None, "field_name": "__index_level_0__", "pandas_type": "unicode", "numpy_type": "object", "metadata": None}
+    described = {
+        "name": None,
+        "field_name": "__index_level_0__",
+        "pandas_type": "unicode",
+        "numpy_type": "object",
+        "metadata": None,
+    }
     column = {"name": "task_index", "field_name": "task_index", "pandas_type": "int64", "numpy_type": "int64", "metadata": None}
-    pandas = {"index_columns": ["__index_level_0__"], "column_indexes": [], "columns": [column, described], "pandas_version": "2.0.0"}
+    pandas = {
+        "index_columns": ["__index_level_0__"],
+        "column_indexes": [],
+        "columns": [column, described],
+        "pandas_version": "2.0.0",
+    }
     pq.write_table(table.replace_schema_metadata({"pandas": json.dumps(pandas)}), file)
 
 

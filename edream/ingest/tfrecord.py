@@ -56,7 +56,9 @@ def records(file: Path, offset: int = 0) -> Iterator[tuple[int, bytes]]:
                 raise EdreamError(f"{file} is damaged or cut short at record {number}: the checksum of its length is wrong.")
             (length,) = struct.unpack("<Q", start[:8])
             if length > MAX_RECORD or length + 16 > left:
-                raise EdreamError(f"{file} is cut short: record {number} has {length} bytes, the file holds {max(0, left - 16)} more.")
+                raise EdreamError(
+                    f"{file} is cut short: record {number} has {length} bytes, the file holds {max(0, left - 16)} more."
+                )
             yield offset, stream.read(length)
             stream.read(4)
             left -= length + 16
