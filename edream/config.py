@@ -81,32 +81,33 @@ def read(config: DictConfig, kind: type[T], where: str = "") -> T:
     return kind(**values)
 
 
-def check_known(config: DictConfig, kinds: Iterable[type], plain: Iterable[str] = ()) -> None:
-    """Refuse keys that no dataclass of `kinds` reads, such as a misspelt one in a config file of the user's own.
+def check_known(config: DictConfig, kinds: Iterable[type]) -> None:
+    """Refuse keys that neither the shipped config has nor a dataclass of `kinds` reads: misspelt ones in a user's own files.
 
     Args:
         config: the composed config.
         kinds: the dataclasses that read it.
-        plain: further top-level keys that are known.
 
     Raises:
         EdreamError: naming the first unknown key and the nearest known one.
     """
-    _check_group(config, list(kinds), set(plain), "")
+    _check_group(config, list(kinds), compose(), "")
 
 
-def _check_group(config: DictConfig, kinds: list[type], known: set[str], where: str) -> None:
+def _check_group(config: DictConfig, kinds: list[type], shipped: Any, where: str) -> None:
+    known = {str(key) for key in shipped} if isinstance(shipped, DictConfig) else set()
     readers: dict[str, list[type]] = {}
     for kind in kinds:
         hints = get_type_hints(kind)
         for field in fields(kind):
             known.add(field.name)
             readers.setdefault(field.name, []).extend(t for t in _alternatives(hints[field.name]) if is_dataclass(t))
-    for key in config:
+    for key in map(str, config):
         if key not in known:
-            raise unknown_name(f"setting in {where or 'the config'}:", str(key), known)
-        if readers.get(str(key)) and isinstance(config._get_node(key), DictConfig):
-            _check_group(config[key], readers[str(key)], set(), f"{where}.{key}" if where else str(key))
+            raise unknown_name(f"setting in {where or 'the config'}:", key, known)
+        if readers.get(key) and isinstance(config._get_node(key), DictConfig):
+            inside = shipped._get_node(key) if isinstance(shipped, DictConfig) and key in shipped else None
+            _check_group(config[key], readers[key], inside, f"{where}.{key}" if where else key)
 
 
 def _convert(value: Any, kind: Any, name: str) -> Any:

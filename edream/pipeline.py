@@ -108,8 +108,7 @@ def check_settings(cfg: DictConfig) -> None:
     Raises:
         EdreamError: naming the setting.
     """
-    kinds_ = [stage(name).config for name in catalog.names("stages")]
-    config.check_known(cfg, [*kinds_, Plumbing])
+    config.check_known(cfg, [*(stage(name).config for name in catalog.names("stages")), Plumbing])
 
 
 def chain(store: Store, artifact: StoredArtifact) -> dict[str, StoredArtifact]:

@@ -135,6 +135,7 @@ class Store:
         temporary = self.root / f".tmp-run-{name}-{os.getpid()}.json"
         with writing(self.root):
             write_checked(record, temporary)
+            failpoint("run")
             os.replace(temporary, path)
             _flush(self.root)
         return path
