@@ -79,7 +79,7 @@ def index_row(episode: Episode, file: Path) -> IndexRow:
 
 def file_name(name: str, taken: Iterable[str] = ()) -> str:
     """A safe file name for an episode, unlike those taken: letters, digits, dot, dash and underscore only."""
-    plain = "".join(letter if letter.isalnum() and letter.isascii() or letter in "._-" else "_" for letter in name).lstrip(".")[
+    plain = "".join(letter if (letter.isalnum() and letter.isascii()) or letter in "._-" else "_" for letter in name).lstrip(".")[
         :150
     ]
     used, candidate, number = set(taken), f"{plain or 'episode'}.mcap", 2
@@ -88,11 +88,16 @@ def file_name(name: str, taken: Iterable[str] = ()) -> str:
     return candidate
 
 
+def index_table(rows: Iterable[IndexRow]) -> pa.Table:
+    """The index as a table."""
+    table = [vars(row) | {"conditions": _text(row.conditions), "notes": _text(row.notes)} for row in rows]
+    return pa.Table.from_pylist(table, schema=SCHEMA)
+
+
 def write_index(rows: Iterable[IndexRow], folder: Path) -> Path:
     """Write the index of a folder of episode files; the same bytes for the same rows."""
-    table = [vars(row) | {"conditions": _text(row.conditions), "notes": _text(row.notes)} for row in rows]
     file = folder / INDEX
-    pq.write_table(pa.Table.from_pylist(table, schema=SCHEMA), file, compression="zstd", version="2.6")
+    pq.write_table(index_table(rows), file, compression="zstd", version="2.6")
     return file
 
 

@@ -88,30 +88,6 @@ class RobotModel:
         return self.joints.index(name)
 
 
-@dataclass(frozen=True)
-class RobotChoice:
-    """Which robot, as the config says it.
-
-    Attributes:
-        mjcf: the MJCF or URDF file.
-        name: what reports call it; the file's stem where None.
-        site: end-effector site, or None to take the last body.
-    """
-
-    mjcf: Path
-    name: str | None = None
-    site: str | None = None
-
-    def load(self) -> RobotModel:
-        """The robot itself; see `load_robot`."""
-        return load_robot(self.mjcf, self.name, self.site)
-
-    def content(self) -> bytes:
-        """Everything that the model consists of, assets included, for the key of a stage that simulates it."""
-        robot = self.load()
-        return b"\0".join([robot.mjcf.encode(), *(part for name, data in sorted(robot.assets.items()) for part in (name.encode(), data))])
-
-
 def load_robot(path: Path, name: str | None = None, site: str | None = None) -> RobotModel:
     """Read a robot from an MJCF or URDF file, with its includes and assets.
 

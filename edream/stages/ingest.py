@@ -1,25 +1,24 @@
 """Ingest: recordings of any supported format -> one checked MCAP file an episode, an index, and what was noticed."""
 
 import json
-import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 
 from edream.core.episode import Episode
 from edream.core.format import Malformed, ReadOptions
 from edream.core.stage import Artifact, Bundle, Source, Stage, Work
 from edream.ingest.episode_file import write_episode
 from edream.ingest.findings import Findings, summarise
+from edream.ingest.index import IndexRow, file_name, index_row, index_table
 from edream.ingest.mapping import MappingConfig
 from edream.ingest.recordings import ingest_recordings
 from edream.sim.robot import RobotModel, load_robot
 
-EPISODE, MALFORMED, FOUND = "episode.mcap", "malformed.json", "found.json"
+EPISODE, MALFORMED, ABOUT = "episode.mcap", "malformed.json", "about.json"
 
 
 @dataclass(frozen=True)
@@ -93,10 +92,11 @@ def run(inputs: Mapping[str, Artifact], config: IngestConfig, work: Work) -> Bun
         episode, findings = item
         path = work.folder("writing") / EPISODE
         write_episode(episode, path, provenance={"made by": "edream ingest"}, images=options.images)
-        return {EPISODE: path, FOUND: _row(episode, findings)} | {f"{name}.png": data for name, data in findings.previews.items()}
+        about = {"row": index_row(episode, path), "findings": findings.sentences()}
+        return {EPISODE: path, ABOUT: about} | {f"{name}.png": data for name, data in findings.previews.items()}
 
     shards = work.shards("episodes", _noting(found, seen), one, parallel=False)
-    return _bundle(list(shards), robot, summarise(seen))
+    return _bundle(shards, robot.joints, summarise(seen))
 
 
 def _noting(found: Iterator[tuple[Episode, Findings] | Malformed], seen: list[Findings]) -> Iterator[Any]:
@@ -106,64 +106,36 @@ def _noting(found: Iterator[tuple[Episode, Findings] | Malformed], seen: list[Fi
         yield item
 
 
-def _row(episode: Episode, findings: Findings) -> dict[str, Any]:
-    return {
-        "name": episode.name,
-        "task": episode.notes.get("task", ""),
-        "rows": len(episode.times),
-        "commands": len(episode.command_times),
-        "duration": episode.duration,
-        "rate": findings.rate,
-        "jitter": findings.jitter,
-        "cameras": list(episode.videos),
-        "conditions": dict(episode.conditions),
-        "findings": list(findings.sentences()),
-    }
-
-
-def _bundle(shards: list[Artifact], robot: RobotModel, noticed: tuple[str, ...]) -> Bundle:
+def _bundle(shards: Iterable[Artifact], joints: tuple[str, ...], noticed: tuple[str, ...]) -> Bundle:
+    """The folder `episodes/`, which is a data set of its own (files and index), what was noticed, and a preview of the cameras."""
     bundle: dict[str, Any] = {}
-    rows, malformed = [], []
+    rows: list[IndexRow] = []
+    malformed, findings = [], {}
     for shard in shards:
         if MALFORMED in shard:
             malformed.append(shard[MALFORMED])
             continue
-        row = shard[FOUND]
-        slug = re.sub(r"[^A-Za-z0-9_.-]+", "_", row["name"]).strip("._")[:80]
-        file = f"episodes/{len(rows):06d}_{slug}.mcap"
-        bundle[file] = shard.path(EPISODE)
-        rows.append(row | {"file": file})
-        if len(rows) == 1:
+        about = shard[ABOUT]
+        row = IndexRow(**(about["row"] | {"file": file_name(about["row"]["name"], (row.file for row in rows))}))
+        bundle[f"episodes/{row.file}"] = shard.path(EPISODE)
+        if not rows:
             bundle |= {f"preview/{name}": shard.path(name) for name in shard if name.endswith(".png")}
-    lost = f"; {len(malformed)} malformed and left out" if malformed else ""
+        rows.append(row)
+        findings[row.name] = about["findings"]
+    duration = sum(row.duration for row in rows)
+    lost = f"; {len(malformed)} malformed, named below and left out" if malformed else ""
+    bundle["episodes/index.parquet"] = index_table(rows)
+    bundle["findings.json"] = findings
     bundle["summary.json"] = {
-        "sentence": f"{len(rows)} episodes, {sum(row['duration'] for row in rows):.0f} s, {len(robot.joints)} joints{lost}.",
+        "sentence": f"{len(rows)} episodes, {duration:.0f} s, {len(joints)} joints{lost}.",
         "episodes": len(rows),
-        "duration_s": sum(row["duration"] for row in rows),
-        "joints": list(robot.joints),
-        "noticed": list(noticed),
+        "duration_s": duration,
+        "joints": joints,
+        "noticed": noticed,
         "malformed": malformed,
-        "index": "index.parquet",
+        "index": "episodes/index.parquet",
     }
-    bundle["findings.json"] = {row["name"]: row["findings"] for row in rows}
-    bundle["index.parquet"] = index(rows)
     return bundle
-
-
-def index(rows: list[dict[str, Any]]) -> pa.Table:
-    """One row an episode: name, file, task, rows, commands, duration [s], rate [Hz], jitter [s], cameras, and each condition."""
-    names = sorted({name for row in rows for name in row["conditions"]})
-    columns: dict[str, pa.Array] = {
-        "name": pa.array([row["name"] for row in rows], pa.string()),
-        "file": pa.array([row["file"] for row in rows], pa.string()),
-        "task": pa.array([row["task"] for row in rows], pa.string()),
-        "rows": pa.array([row["rows"] for row in rows], pa.int64()),
-        "commands": pa.array([row["commands"] for row in rows], pa.int64()),
-    }
-    columns |= {name: pa.array([row[name] for row in rows], pa.float64()) for name in ("duration", "rate", "jitter")}
-    columns["cameras"] = pa.array([row["cameras"] for row in rows], pa.list_(pa.string()))
-    columns |= {f"condition.{name}": pa.array([row["conditions"].get(name) for row in rows], pa.float64()) for name in names}
-    return pa.table(columns)
 
 
 ENTRY = Stage(name="ingest", version=1, needs=(), config=IngestConfig, run=run, sources=sources)
