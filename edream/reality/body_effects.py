@@ -63,9 +63,7 @@ class JointCompliance(Term):
         stiffness = 1.0 / self.values["compliance"]
         damping = 0.1 * np.sqrt(stiffness * plant.armature)
         on = self.on > 0
-        return plant.with_values(
-            give=np.where(on, stiffness, plant.give), give_damping=np.where(on, damping, plant.give_damping)
-        )
+        return plant.with_values(give=np.where(on, stiffness, plant.give), give_damping=np.where(on, damping, plant.give_damping))
 
 
 class Backlash(Term):
@@ -77,7 +75,11 @@ class Backlash(Term):
         on = self.on > 0
         # Teeth are some forty times stiffer than the servo: they count as hard, and the impact stays resolved.
         give = np.where(on & np.isinf(plant.give), 40.0 * plant.kp, plant.give)
-        damping = np.where(on, np.maximum(np.sqrt(give * plant.armature, where=on, out=np.zeros_like(give)), plant.give_damping), plant.give_damping)
+        damping = np.where(
+            on,
+            np.maximum(np.sqrt(give * plant.armature, where=on, out=np.zeros_like(give)), plant.give_damping),
+            plant.give_damping,
+        )
         return plant.with_values(give=give, give_damping=damping, gap=np.where(on, 0.5 * self.values["width"], plant.gap))
 
 

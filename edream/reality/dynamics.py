@@ -128,9 +128,7 @@ def tree_of(model: mujoco.MjModel) -> Tree:
             below[ancestor, link] = 1.0
             ancestor = parent[ancestor]
     is_slide = np.asarray(model.jnt_type) == SLIDE
-    return Tree(
-        tuple(parent), tuple(carrier), np.array(poses), np.array(twists), inertia, below, model.qpos0.copy(), is_slide
-    )
+    return Tree(tuple(parent), tuple(carrier), np.array(poses), np.array(twists), inertia, below, model.qpos0.copy(), is_slide)
 
 
 def _pseudo_inertia(model: mujoco.MjModel, body: int) -> np.ndarray:

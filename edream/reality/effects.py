@@ -24,23 +24,25 @@ class Scale:
         torque: a servo torque that shifts the joint by several encoder steps, and no servo's limit [N m].
         gravity: typical gravity torque [N m].
         inertia: inertia seen by the joint, armature included [kg m^2].
-        armature, kp, kd: of the nominal joint.
+        kp: position gain of the nominal joint [N m/rad].
+        limit: largest torque of the nominal joint, infinite where there is none [N m].
         speed: a brisk speed [rad/s].
         span: a third of the joint's range [rad], centred at `middle`.
         middle: middle of the joint's range [rad].
-        reach: distance from the payload's body to where a load would be held [m].
+        lever: distance at which the joint carries its weight [m].
+        reach: how far from a body's origin a load may sit [m].
     """
 
     torque: float
     gravity: float
     inertia: float
-    armature: float
     kp: float
-    kd: float
+    limit: float
     speed: float
     span: float
     middle: float
-    reach: float = 0.05
+    lever: float
+    reach: float = 0.06
 
 
 @dataclass(frozen=True)
@@ -67,8 +69,8 @@ def _sign(rng: np.random.Generator) -> float:
 
 
 def _payload(rng: np.random.Generator, s: Scale) -> dict[str, float]:
-    x, y, z = rng.uniform(-1.0, 1.0, 3) * (0.3, 0.3, 0.3) * np.array(s.reach) + np.array([s.reach, 0.0, 0.0])
-    return {"mass": rng.uniform(1.0, 2.5) * s.torque / 9.81 / 0.3, "x": x, "y": y, "z": z}
+    x, y, z = rng.uniform((0.5, -0.4, -1.0), (1.2, 0.4, 1.0)) * s.reach
+    return {"mass": rng.uniform(0.5, 1.2) * s.torque / (9.81 * s.lever), "x": x, "y": y, "z": z}
 
 
 def _place(rng: np.random.Generator, s: Scale, share: float = 0.6) -> float:
@@ -77,9 +79,14 @@ def _place(rng: np.random.Generator, s: Scale, share: float = 0.6) -> float:
 
 KINDS: Mapping[str, Kind] = {
     "servo_gain": Kind(servo.ServoGain, "loaded", {"scale": 1.0}, lambda r, s: {"scale": r.uniform(0.55, 0.75)}),
-    "viscous": Kind(friction.Viscous, "joint", {"coefficient": 0.0}, lambda r, s: {"coefficient": r.uniform(1, 2) * s.torque / s.speed}),
+    "viscous": Kind(
+        friction.Viscous, "joint", {"coefficient": 0.0}, lambda r, s: {"coefficient": r.uniform(1, 2) * s.torque / s.speed}
+    ),
     "quadratic_drag": Kind(
-        friction.QuadraticDrag, "joint", {"coefficient": 0.0}, lambda r, s: {"coefficient": r.uniform(1.5, 3) * s.torque / s.speed**2}
+        friction.QuadraticDrag,
+        "joint",
+        {"coefficient": 0.0},
+        lambda r, s: {"coefficient": r.uniform(1.5, 3) * s.torque / s.speed**2},
     ),
     "coulomb": Kind(friction.Coulomb, "joint", {"torque": 0.0}, lambda r, s: {"torque": r.uniform(0.8, 1.6) * s.torque}),
     "asymmetric_coulomb": Kind(
@@ -120,7 +127,11 @@ KINDS: Mapping[str, Kind] = {
         body.ParallelSpring,
         "joint",
         {"stiffness": 0.0, "cubic": 0.0, "rest": 0.0},
-        lambda r, s: {"stiffness": 0.5 * s.torque / s.span, "cubic": r.uniform(1.5, 3) * s.torque / s.span**3, "rest": _place(r, s, 0.3)},
+        lambda r, s: {
+            "stiffness": 0.5 * s.torque / s.span,
+            "cubic": r.uniform(1.5, 3) * s.torque / s.span**3,
+            "rest": _place(r, s, 0.3),
+        },
     ),
     "constant_torque": Kind(
         body.ConstantTorque, "joint", {"torque": 0.0}, lambda r, s: {"torque": _sign(r) * r.uniform(0.8, 1.6) * s.torque}
@@ -134,7 +145,7 @@ KINDS: Mapping[str, Kind] = {
     "payload": Kind(body.Payload, "body", {"mass": 0.0, "x": 0.0, "y": 0.0, "z": 0.0}, _payload),
     "armature": Kind(body.Armature, "joint", {"inertia": 0.0}, lambda r, s: {"inertia": r.uniform(0.7, 1.5) * s.inertia}),
     "joint_compliance": Kind(
-        body.JointCompliance, "loaded", {"compliance": 0.0}, lambda r, s: {"compliance": r.uniform(0.25, 0.45) / s.kp}
+        body.JointCompliance, "loaded", {"compliance": 0.0}, lambda r, s: {"compliance": r.uniform(0.4, 0.65) / s.kp}
     ),
     "backlash": Kind(body.Backlash, "joint", {"width": 0.0}, lambda r, s: {"width": r.uniform(0.015, 0.035) * min(s.span, 1.0)}),
     "cogging": Kind(
@@ -148,21 +159,27 @@ KINDS: Mapping[str, Kind] = {
         },
     ),
     "torque_saturation": Kind(
-        servo.TorqueSaturation, "loaded", {"torque": np.inf}, lambda r, s: {"torque": r.uniform(1.4, 1.8) * (s.gravity + s.torque)}
+        servo.TorqueSaturation,
+        "loaded",
+        {"torque": np.inf},
+        lambda r, s: {"torque": min(r.uniform(1.4, 1.8) * (s.gravity + s.torque), r.uniform(0.4, 0.6) * s.limit)},
     ),
     "torque_speed": Kind(
         servo.TorqueSpeed,
         "loaded",
         {"torque": np.inf, "velocity": np.inf},
-        lambda r, s: {"torque": r.uniform(2.5, 3.5) * (s.gravity + s.torque), "velocity": r.uniform(1.2, 1.8) * s.speed},
+        lambda r, s: {
+            "torque": min(r.uniform(2.0, 3.0) * (s.gravity + s.torque), r.uniform(0.6, 0.9) * s.limit),
+            "velocity": r.uniform(1.0, 1.5) * s.speed,
+        },
     ),
     "slew_limit": Kind(servo.SlewLimit, "joint", {"rate": np.inf}, lambda r, s: {"rate": r.uniform(0.5, 0.9) * s.speed}),
     "integral_action": Kind(servo.IntegralAction, "loaded", {"gain": 0.0}, lambda r, s: {"gain": r.uniform(0.5, 1.5) * s.kp}),
     "dead_zone": Kind(servo.DeadZone, "joint", {"width": 0.0}, lambda r, s: {"width": r.uniform(0.01, 0.02) * min(s.span, 1.0)}),
-    "actuator_delay": Kind(servo.ActuatorDelay, "joint", {"time": 0.0}, lambda r, s: {"time": r.uniform(0.012, 0.04)}),
+    "actuator_delay": Kind(servo.ActuatorDelay, "joint", {"time": 0.0}, lambda r, s: {"time": r.uniform(0.015, 0.045)}),
     "actuator_lag": Kind(servo.ActuatorLag, "joint", {"time": 0.0}, lambda r, s: {"time": r.uniform(0.03, 0.08)}),
-    "sensor_delay": Kind(servo.SensorDelay, "joint", {"time": 0.0}, lambda r, s: {"time": r.uniform(0.012, 0.03)}),
-    "encoder_offset": Kind(servo.EncoderOffset, "loaded", {"angle": 0.0}, lambda r, s: {"angle": _sign(r) * r.uniform(0.06, 0.15)}),
+    "sensor_delay": Kind(servo.SensorDelay, "joint", {"time": 0.0}, lambda r, s: {"time": r.uniform(0.015, 0.035)}),
+    "encoder_offset": Kind(servo.EncoderOffset, "loaded", {"angle": 0.0}, lambda r, s: {"angle": _sign(r) * r.uniform(0.12, 0.25)}),
     "gear_ratio": Kind(servo.GearRatio, "loaded", {"scale": 1.0}, lambda r, s: {"scale": 1.0 + _sign(r) * r.uniform(0.06, 0.12)}),
     "joint_coupling": Kind(
         body.JointCoupling,
@@ -183,7 +200,11 @@ KINDS: Mapping[str, Kind] = {
         foreign.WarmStick,
         "joint",
         {"torque": 0.0, "energy": 1.0, "cooling": 1.0},
-        lambda r, s: {"torque": r.uniform(2.5, 4) * s.torque, "energy": r.uniform(0.7, 1.5) * s.torque * s.span, "cooling": r.uniform(1.5, 3.0)},
+        lambda r, s: {
+            "torque": r.uniform(2.5, 4) * s.torque,
+            "energy": r.uniform(0.7, 1.5) * s.torque * s.span,
+            "cooling": r.uniform(1.5, 3.0),
+        },
         foreign=True,
     ),
     "detent": Kind(
@@ -223,7 +244,7 @@ KINDS: Mapping[str, Kind] = {
         foreign.RubberStop,
         "joint",
         {"stiffness": 0.0, "start": 0.0},
-        lambda r, s: {"stiffness": r.uniform(8, 14) * s.torque / s.span**2, "start": s.middle + r.uniform(0.0, 0.4) * s.span},
+        lambda r, s: {"stiffness": r.uniform(20, 35) * s.torque / s.span**2, "start": s.middle + r.uniform(-0.2, 0.2) * s.span},
         foreign=True,
     ),
 }

@@ -33,7 +33,7 @@ class WarmStick(Term):
 
 
 class Detent(Term):
-    """Two magnetic catches at `first` and `second` [rad], each pulling inward with up to `torque` [N m] within some `width` [rad]."""
+    """Magnetic catches at `first` and `second` [rad], each pulling inward with up to `torque` [N m] over some `width` [rad]."""
 
     def passive(self, now: Moment) -> np.ndarray:
         total = np.zeros_like(now.q)

@@ -4,9 +4,9 @@ A step of length h goes through q' = q + h/2 v, where all forces are taken; thei
 
     (M + h/2 D + h^2/4 K) (v1 - v) = h f(q', v) - p,      q1 = q' + h/2 v1
 
-with p the impulse of dry friction: joints that stick have v1 = 0 and |p| <= h F, joints that slip have p = h F sign(v1). Which is which
-is found by an active-set search over all joints at once. Source of the scheme: Hairer, Lubich, Wanner, Geometric Numerical Integration, II.1;
-of the friction problem: Moreau, Unilateral contact and dry friction in finite freedom dynamics, 1988.
+with p the impulse of dry friction: joints that stick have v1 = 0 and |p| <= h F, joints that slip have p = h F sign(v1). Which is
+which is found by an active-set search over all joints at once. Source of the scheme: Hairer, Lubich, Wanner, Geometric Numerical
+Integration, II.1; of the friction problem: Moreau, Unilateral contact and dry friction in finite freedom dynamics, 1988.
 """
 
 from collections.abc import Sequence
@@ -30,7 +30,12 @@ class Track:
 
 
 def move(
-    plant: Plant, terms: Sequence[Term], start: Float[np.ndarray, "M J"], command: Float[np.ndarray, "S M J"], step: float, begin: float = 0.0
+    plant: Plant,
+    terms: Sequence[Term],
+    start: Float[np.ndarray, "M J"],
+    command: Float[np.ndarray, "S M J"],
+    step: float,
+    begin: float = 0.0,
 ) -> Track:
     """Let the robot follow commands from rest.
 
@@ -61,11 +66,14 @@ def move(
     encoder, link, velocity = (np.empty((steps + 1, motions, joints)) for _ in range(3))
     encoder[0], link[0], velocity[0] = start, y[:, :joints], 0.0
     machine = _Machine(plant, tuple(terms), soft, motor, step)
+    before = u
     for k in range(steps):
         y += 0.5 * step * u
+        spin = 1.5 * u[:, :joints] - 0.5 * before[:, :joints]
+        before = u
         error = command[k] - (plant.ratio * y[:, seen] + plant.offset)
         now = Moment(begin + (k + 0.5) * step, step, y[:, :joints], u[:, :joints], y[:, motor], u[:, motor], error, load)
-        u, side, load = machine.kick(now, y, u, side)
+        u, side, load = machine.kick(now, y, u, side, spin)
         y = y + 0.5 * step * u
         link[k + 1], velocity[k + 1] = y[:, :joints], u[:, :joints]
         encoder[k + 1] = plant.ratio * y[:, seen] + plant.offset
@@ -88,15 +96,22 @@ class _Machine:
         self.rotor[self.motor] = plant.armature
         self.collocated = np.ones(joints) if plant.sees == "motor" else np.isinf(plant.give).astype(float)
         self.sprung = bool(plant.stiffness.any())
-        used = {name: [t for t in self.terms if getattr(type(t), name) is not getattr(Term, name)] for name in ("error", "drive", "dry")}
+        used = {
+            name: [t for t in self.terms if getattr(type(t), name) is not getattr(Term, name)] for name in ("error", "drive", "dry")
+        }
         self.error_terms, self.drive_terms, self.dry_terms = used["error"], used["drive"], used["dry"]
         self.passive_terms = [t for t in self.terms if type(t).passive is not Term.passive]
 
-    def kick(self, now: Moment, y: np.ndarray, u: np.ndarray, side: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Velocities after the step, which way each joint slips, and the load that its gears passed on."""
+    def kick(
+        self, now: Moment, y: np.ndarray, u: np.ndarray, side: np.ndarray, spin: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Velocities after the step, which way each joint slips, and the load that its gears passed on.
+
+        `spin` is the links' velocity extrapolated to the middle of the step, for the centrifugal and Coriolis terms.
+        """
         plant, h = self.plant, self.step
         joints = len(plant.joints)
-        mass, bias = plant.tree.terms(now.q, now.v, plant.gravity)
+        mass, bias = plant.tree.terms(now.q, spin, plant.gravity)
         drive, followed = self._servo(now)
         motor_force = drive - plant.damping * now.w
         link_force = -bias
@@ -113,7 +128,9 @@ class _Machine:
         force[:, self.motor] += motor_force
         matrix = np.zeros((len(y), self.size, self.size))
         matrix[:, :joints, :joints] = mass
-        implicit = 0.5 * h * (plant.damping + followed * plant.kd) + 0.25 * h * h * followed * self.collocated * plant.kp * plant.ratio
+        implicit = (
+            0.5 * h * (plant.damping + followed * plant.kd) + 0.25 * h * h * followed * self.collocated * plant.kp * plant.ratio
+        )
         matrix[:, self.diagonal, self.diagonal] += self.rotor
         matrix[:, self.motor, self.motor] += implicit
         if len(self.soft):

@@ -11,7 +11,9 @@ from edream.reality.truth import joint_range
 Rows = Float[np.ndarray, "K J"]
 
 
-def commands(model: mujoco.MjModel, rng: np.random.Generator, motions: int, seconds: float, rate: float) -> Float[np.ndarray, "M K J"]:
+def commands(
+    model: mujoco.MjModel, rng: np.random.Generator, motions: int, seconds: float, rate: float
+) -> Float[np.ndarray, "M K J"]:
     """Command rows for several motions, within the joints' ranges with a margin.
 
     Args:
@@ -33,7 +35,9 @@ class _Hand:
         full = high - low
         is_hinge = np.asarray(model.jnt_type) == int(mujoco.mjtJoint.mjJNT_HINGE)
         margin = np.where(is_hinge, np.clip(0.15 * full, 0.1, 0.4), 0.12 * full)
-        self.low, self.high = low + margin, np.minimum(high - margin, low + margin + np.where(is_hinge, 3.0, np.inf))
+        # Three radians about the middle: teleoperators stay there, and it keeps fast reaches at human speed.
+        middle, half = 0.5 * (low + high), np.minimum(0.5 * full - margin, np.where(is_hinge, 1.5, np.inf))
+        self.low, self.high = middle - half, middle + half
         self.span = np.where(is_hinge, np.minimum(full / 3.0, 1.0), full / 3.0)
         self.is_hinge = is_hinge
         self.rng, self.rate = rng, rate

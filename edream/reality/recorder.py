@@ -11,8 +11,6 @@ from edream.reality.motions import commands
 from edream.reality.truth import Truth
 from edream.sim.robot import RobotModel
 
-SETTLE = 1.0
-
 
 @dataclass(frozen=True)
 class Recorder:
@@ -24,6 +22,7 @@ class Recorder:
         noise: standard deviation of the encoder's noise [rad], or as a share of a slide's range [m].
         counts: encoder counts per turn, or over a slide's range.
         step: integration step of the robot [s].
+        settle: how long the robot rests at the first command before the recording [s].
         conditions: facts noted with every recording.
     """
 
@@ -32,6 +31,7 @@ class Recorder:
     noise: float = 0.0002
     counts: int = 16384
     step: float = 0.0005
+    settle: float = 1.0
     conditions: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -55,24 +55,25 @@ def make_recordings(
     jitter = np.clip(noising.normal(0.0, recorder.jitter, wanted.shape[:2]), -0.2 / recorder.rate, 0.2 / recorder.rate)
     times = np.maximum(due + jitter, 0.0)
     times[:, 0] = 0.0
-    track = perform(robot, truth, times, wanted, recorder.step)
+    track = perform(robot, truth, times, wanted, recorder.step, recorder.settle)
     return [_recording(robot, truth, recorder, track, times, wanted, index, noising) for index in range(n_motions)]
 
 
-def perform(robot: RobotModel, truth: Truth, times: np.ndarray, wanted: np.ndarray, step: float) -> Track:
+def perform(robot: RobotModel, truth: Truth, times: np.ndarray, wanted: np.ndarray, step: float, settle: float) -> Track:
     """Move the robot along commands that hold until the next, after it settled at the first.
 
     Args:
         times: when each row is commanded [s], (M, K), starting at 0.
         wanted: the commands [rad or m], (M, K, J).
         step: integration step [s].
+        settle: rest at the first command [s].
     """
-    before, length = round(SETTLE / step), int(np.ceil(times[:, -1].max() / step)) + 1
+    before, length = round(settle / step), int(np.ceil(times[:, -1].max() / step)) + 1
     middles = (np.arange(-before, length) + 0.5) * step
     rows = np.stack([np.clip(np.searchsorted(t, middles, side="right") - 1, 0, None) for t in times], axis=1)
     held = wanted[np.arange(len(times))[None], rows]
     model = robot.model
-    return move(truth.plant(model), truth.terms(model), wanted[:, 0], held, step, -SETTLE)
+    return move(truth.plant(model), truth.terms(model), wanted[:, 0], held, step, -before * step)
 
 
 def _recording(
@@ -87,7 +88,7 @@ def _recording(
 ) -> Recording:
     model = robot.model
     plant = truth.plant(model)
-    clock = np.arange(len(track.encoder)) * recorder.step - SETTLE
+    clock = np.arange(len(track.encoder)) * recorder.step - round(recorder.settle / recorder.step) * recorder.step
     encoder = track.encoder[:, index]
     for term in truth.terms(model):
         encoder = term.record(encoder, clock)

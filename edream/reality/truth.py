@@ -5,8 +5,9 @@ import hashlib
 import json
 import zlib
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 import mujoco
 import numpy as np
@@ -42,15 +43,17 @@ class Truth:
         robot: name of the robot.
         effects: the hidden effects, in the order in which they act.
         nuisance: true kp, kd, damping, frictionloss and armature by joint; those not named are nominal.
+        sees: whether encoder and servo sit on the link or the motor side of a shaft that gives.
     """
 
     robot: str
     effects: tuple[Hidden, ...] = ()
     nuisance: Mapping[str, Mapping[str, float]] | None = None
+    sees: Literal["link", "motor"] = "link"
 
     def plant(self, model: mujoco.MjModel) -> Plant:
         """The robot with its true nuisance parameters and none of its hidden effects."""
-        plant = nominal_plant(model)
+        plant = replace(nominal_plant(model), sees=self.sees)
         arrays = {}
         for quantity, by_joint in (self.nuisance or {}).items():
             if quantity not in NUISANCE:
@@ -70,12 +73,16 @@ class Truth:
         for hidden in self.effects:
             sort = kind(hidden.name)
             if hidden.values.keys() != sort.absent.keys():
-                raise EdreamError(f"Hidden effect {hidden.name!r} needs the values {sorted(sort.absent)}, not {sorted(hidden.values)}.")
+                raise EdreamError(
+                    f"Hidden effect {hidden.name!r} needs the values {sorted(sort.absent)}, not {sorted(hidden.values)}."
+                )
             acts_on = {"base": (), "body": (), "pair": hidden.targets[:1]}.get(sort.where, hidden.targets)
             on = np.array([float(j in acts_on) for j in joints])
             for target in hidden.targets:
                 if target not in (bodies if sort.where == "body" else joints):
-                    raise unknown_name("body" if sort.where == "body" else "joint", target, bodies if sort.where == "body" else joints)
+                    raise unknown_name(
+                        "body" if sort.where == "body" else "joint", target, bodies if sort.where == "body" else joints
+                    )
             other = -1
             if sort.where == "body":
                 other = bodies.index(hidden.targets[0])
@@ -85,7 +92,9 @@ class Truth:
         return tuple(terms)
 
 
-def draw(robot: RobotModel, names: Sequence[str], rng: np.random.Generator, deviation: float = 0.3, at: Sequence[str] = ()) -> Truth:
+def draw(
+    robot: RobotModel, names: Sequence[str], rng: np.random.Generator, deviation: float = 0.3, at: Sequence[str] = ()
+) -> Truth:
     """A plausible truth in which the named effects are visible.
 
     Args:
@@ -115,7 +124,7 @@ def draw(robot: RobotModel, names: Sequence[str], rng: np.random.Generator, devi
 def absent(truth: Truth) -> Truth:
     """The same truth with every effect at the values at which it is not there."""
     effects = tuple(Hidden(h.name, h.targets, dict(KINDS[h.name].absent)) for h in truth.effects)
-    return Truth(truth.robot, effects, truth.nuisance)
+    return replace(truth, effects=effects)
 
 
 def seal(truth: Truth, path: Path) -> str:
@@ -144,12 +153,14 @@ def unseal(path: Path) -> Truth:
         plain = zlib.decompress(base64.b64decode(sealed["content"]))
         intact = sealed["seal"] == SEAL and hashlib.sha256(plain).hexdigest() == sealed["digest"]
     except (OSError, ValueError, KeyError, TypeError, zlib.error) as error:
-        raise EdreamError(f"{path} is not a sealed truth: {type(error).__name__}. Expected a file that 'edream record' wrote.") from error
+        raise EdreamError(
+            f"{path} is not a sealed truth: {type(error).__name__}. Expected a file that 'edream record' wrote."
+        ) from error
     if not intact:
         raise EdreamError(f"The sealed truth {path} was altered: its digest does not match its content.")
     fields = json.loads(plain)
     hidden = tuple(Hidden(h["name"], tuple(h["targets"]), h["values"]) for h in fields["effects"])
-    return Truth(fields["robot"], hidden, fields["nuisance"])
+    return Truth(fields["robot"], hidden, fields["nuisance"], fields["sees"])
 
 
 def _gravity_scale(plant: Plant, model: mujoco.MjModel) -> np.ndarray:
@@ -172,18 +183,19 @@ def _scale(plant: Plant, model: mujoco.MjModel, gravity: np.ndarray, joint: int)
     span = (high[joint] - low[joint]) / 3.0
     small = min(span, 1.0)
     mass, _ = plant.tree.terms(((low + high) / 2.0)[None], np.zeros((1, model.nv)), plant.gravity)
+    carried = float(plant.tree.below[joint] @ plant.tree.inertia[:, 3, 3])
     shift = 0.008 * small * plant.kp[joint]
     least = 2.0 * plant.frictionloss[joint]
     return Scale(
         torque=float(min(max(shift, least), 0.25 * plant.limit[joint])),
         gravity=float(gravity[joint]),
         inertia=float(mass[0, joint, joint] + plant.armature[joint]),
-        armature=float(plant.armature[joint]),
         kp=float(plant.kp[joint]),
-        kd=float(plant.kd[joint]),
+        limit=float(plant.limit[joint]),
         speed=float(1.2 * small),
         span=float(span),
         middle=float(low[joint] + high[joint]) / 2.0,
+        lever=float(max(gravity[joint] / (9.81 * carried), 0.02)),
     )
 
 
