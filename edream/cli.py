@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from edream import __version__
+from edream import __version__, catalog
 from edream.core.errors import EdreamError
 
 app = typer.Typer(
@@ -63,6 +63,83 @@ def ingest(overrides: Overrides = None, conf: Conf = None, json: Json = False) -
     Example: `edream ingest robot=so101 robot.mjcf=so101.xml data=recordings/`
     """
     run("ingest", ("ingest",), overrides, conf, json)
+
+
+def _command(stage: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Offer a command where the stage that it makes is there."""
+    return app.command() if stage in catalog.names("stages") else lambda function: function
+
+
+@_command("fit")
+def calibrate(overrides: Overrides = None, conf: Conf = None, json: Json = False) -> None:
+    """Fit the simulator to recordings; write the calibrated MJCF, its parameters with intervals, and held-out errors.
+
+    Example: `edream calibrate robot=so101 robot.mjcf=so101.xml data=recordings/ fit.method=gauss_newton seed=3`
+    """
+    run("calibrate", _with_report("fit"), overrides, conf, json)
+
+
+@_command("diagnose")
+def diagnose(overrides: Overrides = None, conf: Conf = None, json: Json = False) -> None:
+    """Find where simulator and recordings disagree, name the missing effect, add it, and prove it on motions held out.
+
+    Example: `edream diagnose robot.mjcf=robot.xml data=recordings/`
+    """
+    run("diagnose", _with_report("diagnose"), overrides, conf, json)
+
+
+@_command("replay")
+def replay(
+    model: Annotated[Path, typer.Option("--model", metavar="M.xml", help="The MJCF to judge.")],
+    data: Annotated[Path, typer.Option("--data", metavar="PATH", help="Recordings, as for ingest.")],
+    joints: Annotated[str | None, typer.Option("--joints", metavar="A,B", help="Score these joints only.")] = None,
+    until: Annotated[float | None, typer.Option("--until", metavar="SECONDS", help="Score the first seconds only.")] = None,
+    hook: Annotated[Path | None, typer.Option("--hook", metavar="H.py", help="Python file with make(model) -> step(model, data).")] = None,
+    overrides: Overrides = None,
+    conf: Conf = None,
+    json: Json = False,
+) -> None:
+    """Open-loop replay error of any MJCF on any recordings.
+
+    Example: `edream replay --model calibrated.xml --data recordings/ --until 40 --json`
+    """
+    chosen = [f"robot.mjcf={model}", f"data={data}"]
+    chosen += [f"replay.joints=[{joints}]"] if joints else []
+    chosen += [f"replay.until={until}"] if until is not None else []
+    chosen += [f"replay.hook={hook}"] if hook is not None else []
+    run("replay", ("replay",), [*(overrides or []), *chosen], conf, json)
+
+
+@app.command()
+def record(overrides: Overrides = None, conf: Conf = None, json: Json = False) -> None:
+    """Record a make-believe real robot: a data set as a user brings it, and the truth about it sealed beside.
+
+    Example: `edream record robot=arm6 record.out=recordings record.effects=[payload] seed=1`
+    """
+    from edream import cli_data
+
+    cfg = _compose(overrides, conf)
+    with _stdout_for_json(json) as write:
+        cli_data.record_robot(cfg, write if json else None)
+
+
+@app.command()
+def export(
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="The new folder.")],
+    to: Annotated[str, typer.Option("--to", metavar="FORMAT", help="A format that can be written.")] = "lerobot_v3",
+    overrides: Overrides = None,
+    conf: Conf = None,
+    json: Json = False,
+) -> None:
+    """Write recordings, once ingested, as a data set for other programs.
+
+    Example: `edream export --to lerobot_v3 --out exported/ robot=so101 robot.mjcf=so101.xml data=recordings/`
+    """
+    from edream import cli_data
+
+    cfg = _compose(overrides, conf)
+    with _stdout_for_json(json) as write:
+        cli_data.export_episodes(cfg, to, out, write if json else None)
 
 
 @app.command()
@@ -132,6 +209,10 @@ def run(command: str, stages: tuple[str, ...], overrides: list[str] | None, conf
     with _stdout_for_json(json) as write:
         made, path = pipeline.make_run(command, stages, cfg)
         cli_show.result(made, path, write if json else None)
+
+
+def _with_report(stage: str) -> tuple[str, ...]:
+    return (stage, "report") if "report" in catalog.names("stages") else (stage,)
 
 
 def _compose(overrides: list[str] | None, conf: Path | None) -> Any:

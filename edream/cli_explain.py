@@ -28,18 +28,15 @@ def explain(name: str, json: bool) -> None:
     Raises:
         EdreamError: no catalog has such an entry.
     """
-    places = {entry: folder for folder in reversed(_catalogs()) for entry in catalog.names(folder)}
-    if name not in places:
-        raise unknown_name("entry", name, places)
-    module = importlib.import_module(f"edream.{places[name]}.{name}")
-    found: dict[str, Any] = {"name": name, "catalog": places[name], "text": _text(module)}
-    parameters = getattr(module.ENTRY, "parameters", None)
-    if isinstance(parameters, tuple):
-        found["parameters"] = [str(one) for one in parameters]
+    folders = _catalogs()
+    places = [folder for folder in folders if name in catalog.names(folder)]
+    if not places:
+        raise unknown_name("entry", name, {entry for folder in folders for entry in catalog.names(folder)})
+    found = [{"name": name, "catalog": place, "text": _text(importlib.import_module(f"edream.{place}.{name}"))} for place in places]
     if json:
-        print(json_.dumps(found, indent=2))
+        print(json_.dumps({"name": name, "entries": found}, indent=2))
     else:
-        print(f"{name} ({places[name]})\n\n{found['text']}")
+        print("\n\n".join(f"{name} ({one['catalog']})\n\n{one['text']}" for one in found))
 
 
 def doctor(json: bool) -> None:

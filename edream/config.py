@@ -14,7 +14,7 @@ from omegaconf.errors import OmegaConfBaseException
 from edream.core.errors import EdreamError, unknown_name
 
 T = TypeVar("T")
-PATHS = frozenset({"data", "runs", "robot.mjcf"})
+PATHS = frozenset({"data", "runs", "robot.mjcf", "record.out", "replay.hook"})
 EXPECTED: dict[Any, str] = {int: "an integer", float: "a number", str: "text", bool: "true or false", Path: "a path", type(None): "null"}
 
 

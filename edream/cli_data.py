@@ -1,0 +1,36 @@
+"""Commands that write data sets: record, export."""
+
+import json as json_
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from omegaconf import DictConfig
+
+from edream import cli_show, config, pipeline
+
+Write = Callable[[str], object] | None
+
+
+def record_robot(cfg: DictConfig, write: Write) -> None:
+    """Record the make-believe robot that the config names."""
+    from edream.calibration.settings import RobotSettings
+    from edream.record import RecordConfig, record
+
+    robot = config.read(cfg.robot, RobotSettings, "robot").load()
+    _print(record(robot, config.read(cfg.record, RecordConfig, "record"), int(cfg.seed)), write)
+
+
+def export_episodes(cfg: DictConfig, to: str, out: Path, write: Write) -> None:
+    """Ingest where that is not done, then write the episodes in another format."""
+    from edream.export import export
+
+    made, run = pipeline.make_run("export", ("ingest",), cfg)
+    _print(export(made["ingest"], to, out) | {"run": str(run.absolute())}, write)
+
+
+def _print(summary: Mapping[str, Any], write: Write) -> None:
+    if write is not None:
+        write(json_.dumps(summary, indent=2))
+    else:
+        cli_show.table(summary)
