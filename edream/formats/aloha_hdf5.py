@@ -52,7 +52,7 @@ class AlohaHdf5(Format):
             name = file.stem if unique else file.relative_to(path).with_suffix("").as_posix()
             try:
                 yield finished(_read(file, name, options), options)
-            except _NoClock as error:
+            except _NoClockError as error:
                 raise EdreamError(str(error)) from error
             except EdreamError as error:
                 yield Malformed(name, str(error))
@@ -67,7 +67,7 @@ class AlohaHdf5(Format):
         write_conditions(conditions, path)
 
 
-class _NoClock(EdreamError):
+class _NoClockError(EdreamError):
     """The one thing that is wrong with all files alike."""
 
 
@@ -116,7 +116,9 @@ def _times(opened: h5py.File, file: Path, rows: int, options: ReadOptions) -> np
         if stored.shape != (rows,):
             raise EdreamError(f"{file}: /timestamps has shape {stored.shape}; expected ({rows},).")
         return np.asarray(stored[()], dtype=np.float64)
-    raise _NoClock(f"{file} carries no clock. Give its rate as ingest.fps=RATE [Hz]: 50 for ALOHA and Mobile ALOHA, 30 for AgileX.")
+    raise _NoClockError(
+        f"{file} carries no clock. Give its rate as ingest.fps=RATE [Hz]: 50 for ALOHA and Mobile ALOHA, 30 for AgileX."
+    )
 
 
 def _videos(opened: h5py.File, file: Path, times: np.ndarray, options: ReadOptions) -> dict[str, Video]:
@@ -135,7 +137,8 @@ def _video(opened: h5py.File, file: Path, camera: str, times: np.ndarray, option
     swap, what, shape = options.colour == "bgr", f"{file}, camera {camera!r}", images.shape
     if images.dtype != np.uint8 or len(shape) not in (2, 4) or shape[0] != len(times):
         raise EdreamError(
-            f"{what} holds {images.dtype} of shape {shape}; expected uint8 (rows, height, width, 3) or (rows, bytes), {len(times)} rows."
+            f"{what} holds {images.dtype} of shape {shape}; expected uint8 (rows, height, width, 3) or (rows, bytes), "
+            f"{len(times)} rows."
         )
     if len(shape) == 4:
         if shape[3] != 3 or not 0 < shape[1] * shape[2] <= MAX_PIXELS:
@@ -164,7 +167,8 @@ def _write(recording: Recording, file: Path) -> None:
         for camera, video in recording.videos.items():
             if len(video.times) != len(recording.times):
                 raise EdreamError(
-                    f"Recording {recording.name!r}: camera {camera!r} has {len(video.times)} images for {len(recording.times)} rows; ALOHA needs one each."
+                    f"Recording {recording.name!r}: camera {camera!r} has {len(video.times)} images for "
+                    f"{len(recording.times)} rows; ALOHA needs one each."
                 )
             shape = (len(video.times), video.height, video.width, 3)
             images = out.create_dataset(f"observations/images/{camera}", shape, np.uint8, chunks=(1, *shape[1:]))

@@ -101,7 +101,10 @@ def _index(path: Path) -> tuple[list[_Place], list[Malformed]]:
                 name = f"episode_{hashlib.sha256(data).hexdigest()[:12]}"
                 if name in places:
                     first = places[name]
-                    reason = f"{file}, record {number}: it is the same episode as record {first.number} of {first.file.name}; only one is used."
+                    reason = (
+                        f"{file}, record {number}: it is the same episode as record {first.number} of "
+                        f"{first.file.name}; only one is used."
+                    )
                     damaged.append(Malformed(name, reason))
                 else:
                     places[name] = _Place(name, file, number, offset)
@@ -145,7 +148,8 @@ def _table(features: dict[str, tfrecord.Feature], keys: tuple[str, ...], rows: i
         width, rest = divmod(len(value), rows)
         if rest or not 0 < width <= MAX_CHANNELS:
             raise EdreamError(f"feature {key!r} has {len(value)} numbers in {rows} steps; expected as many in each.")
-        columns.append(value.reshape(rows, width).astype(np.float64))
+        with np.errstate(invalid="ignore"):  # a signalling NaN is named later, like any other
+            columns.append(value.reshape(rows, width).astype(np.float64))
         names += [f"{key.removeprefix(STEPS)}[{column}]" for column in range(width)]
     return np.concatenate(columns, axis=1), tuple(names)
 

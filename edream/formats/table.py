@@ -88,16 +88,20 @@ def _rows(file: Path, lines: list[str]) -> list[list[str]]:
         raise EdreamError(f"{file} has no rows; expected a header and numbers.")
     delimiter = max(DELIMITERS, key=lines[0].count)
     try:
-        return list(csv.reader(io.StringIO("\n".join(lines)), delimiter=delimiter))
+        rows = list(csv.reader(io.StringIO("\n".join(lines)), delimiter=delimiter))
     except csv.Error as error:
         raise EdreamError(f"{file} is no CSV file: {error}.") from error
+    if not rows or not rows[0]:
+        raise EdreamError(f"{file} begins with an empty line; expected a header.")
+    return rows
 
 
 def _read(file: Path, name: str, options: ReadOptions) -> Recording:
     names = _header(file)
     if len(set(names)) != len(names) or len(names) > MAX_CHANNELS:
         raise EdreamError(
-            f"{file} has {len(names)} columns, {len(names) - len(set(names))} of them named twice; expected up to {MAX_CHANNELS}, each named once."
+            f"{file} has {len(names)} columns, {len(names) - len(set(names))} of them named twice; expected up to "
+            f"{MAX_CHANNELS}, each named once."
         )
     time = _time_column(file, names, options)
     command = options.command or _guess(names, time, ("command", "cmd", "target", "desired", "goal", "action", "setpoint"))

@@ -169,4 +169,7 @@ def _number_problem(what: str, values: np.ndarray, channels: tuple[str, ...]) ->
         return None
     row, column = np.argwhere(~finite)[0]
     named = channels[column] if channels else str(column)
-    return f"its {what} of channel {named!r} is {values[row, column]} at row {row} ({int((~finite).sum())} such values); expected finite numbers."
+    return (
+        f"its {what} of channel {named!r} is {values[row, column]} at row {row} ({int((~finite).sum())} such "
+        "values); expected finite numbers."
+    )

@@ -64,7 +64,8 @@ def read_recording(path: Path) -> Recording:
     videos = rebased(signals.videos, start, LOG)
     if sorted(videos) != sorted(cameras):
         raise EdreamError(
-            f"{path} is damaged: it has images of {', '.join(sorted(videos)) or 'no camera'}; expected {', '.join(sorted(cameras)) or 'none'}."
+            f"{path} is damaged: it has images of {', '.join(sorted(videos)) or 'no camera'}; expected "
+            f"{', '.join(sorted(cameras)) or 'none'}."
         )
     return Recording(
         name=name,

@@ -61,7 +61,7 @@ class Findings:
             start, length = max(self.gaps, key=lambda gap: gap[1])
             said.append(f"{len(self.gaps)} gaps; the longest lasts {length * 1e3:.0f} ms from {start:.2f} s on.")
         if self.quantum:
-            said.append("Encoder step: " + _listed(self.quantum, 1.0, "{:.5f}", "rad") + ".")
+            said.append("Encoder step: " + _listed(self.quantum, 1.0, "{:.3g}", "rad") + ".")
         if self.dead:
             said.append(f"Commanded but never moving: {', '.join(self.dead)}.")
         if self.still:
@@ -132,20 +132,22 @@ def summarise(found: Sequence[Findings]) -> tuple[str, ...]:
     gaps = [gap for one in found for gap in one.gaps]
     if gaps:
         said.append(
-            f"{len(gaps)} gaps in {sum(bool(one.gaps) for one in found)} episodes; the longest lasts {max(g[1] for g in gaps) * 1e3:.0f} ms."
+            f"{len(gaps)} gaps in {sum(bool(one.gaps) for one in found)} episodes; the longest lasts "
+            f"{max(g[1] for g in gaps) * 1e3:.0f} ms."
         )
     steps = {
         joint: float(np.median([one.quantum[joint] for one in found if joint in one.quantum])) for joint in _seen(found, "quantum")
     }
     if steps:
-        said.append("Encoder step: " + _listed(steps, 1.0, "{:.5f}", "rad") + ".")
+        said.append("Encoder step: " + _listed(steps, 1.0, "{:.3g}", "rad") + ".")
     if joints:
         middle = {joint: float(np.median([one.shift[joint] for one in found if joint in one.shift])) for joint in joints}
         said.append("Measurement follows command by " + _listed(middle, 1e3, "{:.0f}", "ms") + " (median over episodes).")
         spread = max(middle.values()) - min(middle.values())
         if spread > 0.5 / float(np.median(rates)):
             said.append(
-                f"That differs by {spread * 1e3:.0f} ms between joints: different loads or servos, or readings taken one after another."
+                f"That differs by {spread * 1e3:.0f} ms between joints: different loads or servos, or readings taken "
+                "one after another."
             )
     rest = Counter(sentence for one in found for sentence in one.sentences() if not _numeric(sentence))
     said += [
@@ -169,7 +171,7 @@ def quantum(values: Float[np.ndarray, "T"]) -> float | None:
     smallest = float(np.quantile(differences, 0.05))
     if smallest < 20 * noise:
         return None
-    close = differences[differences < 5.5 * smallest]
+    close = differences[(differences > 0.6 * smallest) & (differences < 5.5 * smallest)]
     step = float(np.median(close / np.round(close / smallest)))
     whole = np.abs(differences / step - np.round(differences / step)) * step < max(0.02 * step, 3 * noise)
     return step if np.mean(whole) > 0.95 else None
@@ -218,14 +220,16 @@ def _unit_mistakes(episode: Episode, ranges: Mapping[str, tuple[float, float]]) 
             for what, values in (("command", command), ("position", position)):
                 if np.abs(values).max() > LARGE:
                     said.append(
-                        f"Joint {joint!r}: its {what} reaches {values[np.argmax(np.abs(values))]:g} rad: degrees, per cent or a dummy target?"
+                        f"Joint {joint!r}: its {what} reaches {values[np.argmax(np.abs(values))]:g} rad: degrees, per "
+                        "cent or a dummy target?"
                     )
         low, high = ranges.get(joint, (-np.inf, np.inf))
         margin = 0.05 * (high - low) if np.isfinite(high - low) else 0.0
         share = float(np.mean((position < low - margin) | (position > high + margin)))
         if share > 0:
             said.append(
-                f"Joint {joint!r}: {share:.0%} of its positions lie outside its range {low:.3f} to {high:.3f} (they reach {position.min():.3f} to {position.max():.3f})."
+                f"Joint {joint!r}: {share:.0%} of its positions lie outside its range {low:.3f} to {high:.3f} (they "
+                f"reach {position.min():.3f} to {position.max():.3f})."
             )
     return tuple(said)
 

@@ -155,10 +155,12 @@ def check_columns(parquet: pq.ParquetFile, file: Path, columns: Sequence[str]) -
     meta = parquet.metadata
     for group in range(meta.num_row_groups):
         row_group = meta.row_group(group)
-        sizes = [row_group.column(c) for c in range(row_group.num_columns)]
-        total = sum(
-            c.total_uncompressed_size for c in sizes if c.path_in_schema.split(".")[0] in columns or c.path_in_schema in columns
-        )
+        try:
+            sizes = [row_group.column(c) for c in range(row_group.num_columns)]
+            wanted = [c for c in sizes if {c.path_in_schema, c.path_in_schema.split(".")[0]} & set(columns)]
+        except UnicodeDecodeError as error:
+            raise EdreamError(f"{file} is damaged: a column's name in row group {group} is not text.") from error
+        total = sum(c.total_uncompressed_size for c in wanted)
         if not 0 <= total <= MAX_COLUMN_BYTES:
             raise EdreamError(f"{file} declares {total} bytes in row group {group}; expected at most {MAX_COLUMN_BYTES}.")
 

@@ -97,7 +97,8 @@ class _Writer:
         if found != self.features:
             odd = sorted(key for key in found.keys() | self.features.keys() if found.get(key) != self.features.get(key))
             raise EdreamError(
-                f"Recording {recording.name!r} differs from the first in {', '.join(odd)}; one LeRobot data set holds one robot with one set of cameras."
+                f"Recording {recording.name!r} differs from the first in {', '.join(odd)}; one LeRobot data set holds "
+                "one robot with one set of cameras."
             )
         index, length = len(self.rows), len(recording.times)
         task = recording.notes.get("task") or recording.name
@@ -110,7 +111,7 @@ class _Writer:
             "dataset_from_index": self.frames,
             "dataset_to_index": self.frames + length,
         }
-        numbers = _numbers(recording, self.fps) | {
+        numbers = _numbers(recording) | {
             "frame_index": np.arange(length),
             "episode_index": np.full(length, index),
             "index": np.arange(self.frames, self.frames + length),
@@ -152,27 +153,25 @@ class _Writer:
     def _write_video(self, key: str, recording: Recording, video: Video) -> None:
         file = self.root / f"videos/{key}/chunk-000/file-{len(self.rows):03d}.mp4"
         file.parent.mkdir(parents=True, exist_ok=True)
-        feature = self.features[key]
-        pixels = "yuv420p" if video.height % 2 == 0 and video.width % 2 == 0 else "yuv444p"
-        feature["info"] = {"video.fps": self.fps, "video.height": video.height, "video.width": video.width, "video.channels": 3}
-        feature["info"] |= {"video.codec": "h264", "video.pix_fmt": pixels, "video.is_depth_map": False, "has_audio": False}
+        pixels = _pixel_format(video.height, video.width)
         times = np.round((recording.times - recording.times[0]) * VIDEO_CLOCK).astype(int).tolist()
         # one thread: x264 writes other bytes for every number of threads
         with av.open(str(file), "w") as container:
             stream = container.add_stream("libx264", rate=self.fps, options={"threads": "1", "crf": "18", "g": "2", "bf": "0"})
             stream.width, stream.height, stream.pix_fmt = video.width, video.height, pixels
             stream.codec_context.time_base = stream.time_base = Fraction(1, VIDEO_CLOCK)
-            count = 0
             for time, image in zip(times, _counted(recording, key, video), strict=True):
                 frame = av.VideoFrame.from_ndarray(image, format="rgb24")
                 frame.pts, frame.time_base = time, Fraction(1, VIDEO_CLOCK)
                 container.mux(stream.encode(frame))
-                count += 1
             container.mux(stream.encode())
 
     def finish(self) -> None:
         if self.open is not None:
             self.open.close()
+        for feature in self.features.values():
+            if feature["dtype"] == "video":
+                feature["info"] = _video_info(self.fps, *feature["shape"][:2])
         meta = self.root / "meta"
         (meta / "episodes/chunk-000").mkdir(parents=True)
         pq.write_table(pa.Table.from_pylist(self.rows), meta / "episodes/chunk-000/file-000.parquet")
@@ -215,7 +214,17 @@ def _features(recording: Recording, images: str) -> dict[str, dict[str, Any]]:
     return features | {key: {"dtype": dtype, "shape": [1], "names": None} for key, dtype in INDICES.items()}
 
 
-def _numbers(recording: Recording, fps: int) -> dict[str, Float[np.ndarray, "T *C"]]:
+def _pixel_format(height: int, width: int) -> str:
+    """h264 halves the colour's resolution only where both sides are even."""
+    return "yuv420p" if height % 2 == 0 and width % 2 == 0 else "yuv444p"
+
+
+def _video_info(fps: int, height: int, width: int) -> dict[str, Any]:
+    info = {"video.fps": fps, "video.height": height, "video.width": width, "video.channels": 3, "video.codec": "h264"}
+    return info | {"video.pix_fmt": _pixel_format(height, width), "video.is_depth_map": False, "has_audio": False}
+
+
+def _numbers(recording: Recording) -> dict[str, Float[np.ndarray, "T *C"]]:
     numbers = {STATE: recording.position, COMMAND: held_commands(recording)}
     numbers |= {f"observation.{what}": array for what in ("velocity", "effort") if (array := getattr(recording, what)) is not None}
     return numbers | {"timestamp": recording.times - recording.times[0]}
@@ -230,7 +239,8 @@ def _column(array: np.ndarray, dtype: str) -> pa.Array:
 def _counted(recording: Recording, key: str, video: Video) -> Iterable[np.ndarray]:
     if len(video.times) != len(recording.times):
         raise EdreamError(
-            f"Recording {recording.name!r}: camera {key!r} has {len(video.times)} images for {len(recording.times)} rows; LeRobot needs one each."
+            f"Recording {recording.name!r}: camera {key!r} has {len(video.times)} images for {len(recording.times)} "
+            "rows; LeRobot needs one each."
         )
     return video.frames()
 

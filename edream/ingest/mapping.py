@@ -109,7 +109,8 @@ def _units(joints: tuple[str, ...], mapping: MappingConfig) -> tuple[np.ndarray,
         unit = mapping.units.get(joint, mapping.unit)
         if unit == "normalised" and joint not in mapping.scale:
             raise EdreamError(
-                f"Joint {joint!r} is stored normalised; give ingest.mapping.scale.{joint} and ingest.mapping.offset.{joint} [rad or m]."
+                f"Joint {joint!r} is stored normalised; give ingest.mapping.scale.{joint} and "
+                f"ingest.mapping.offset.{joint} [rad or m]."
             )
         scale[column] = UNITS.get(unit, 1.0) * mapping.scale.get(joint, 1.0)
         offset[column] = mapping.offset.get(joint, 0.0)
@@ -128,7 +129,8 @@ def _columns(
     if mapping.by == "order" or (mapping.by == "auto" and nameless and not mapping.channels and not set(names) & set(joints)):
         if width != len(joints):
             raise EdreamError(
-                f"Recording {recording.name!r} has {width} {what} channels; the robot has {len(joints)} joints ({', '.join(joints)}). "
+                f"Recording {recording.name!r} has {width} {what} channels; the robot has {len(joints)} joints "
+                f"({', '.join(joints)}). "
                 "Mapping by order needs as many; name them with ingest.mapping.channels."
             )
         return list(range(width))
@@ -146,10 +148,12 @@ def _find(
         if len(hits) > 1:
             listed = ", ".join(names[column] for column in hits)
             raise EdreamError(
-                f"Recording {recording.name!r}: joint {joint!r} may be any of the {what} channels {listed}; choose with ingest.mapping.channels."
+                f"Recording {recording.name!r}: joint {joint!r} may be any of the {what} channels {listed}; choose "
+                "with ingest.mapping.channels."
             )
     raise EdreamError(
-        f"Recording {recording.name!r} has no {what} channel for joint {joint!r} of the robot. {unknown_name('channel', wanted, names)} "
+        f"Recording {recording.name!r} has no {what} channel for joint {joint!r} of the robot. "
+        f"{unknown_name('channel', wanted, names)} "
         f"Name it with ingest.mapping.channels.{joint}=CHANNEL{', or map by order' if len(names) == len(joints) else ''}."
     )
 

@@ -145,7 +145,8 @@ def _roles(joints: Mapping[str, JointTopic], options: ReadOptions) -> tuple[str,
     states = named_state or [topic for topic in filled if topic not in commands]
     if len(states) != 1 or len(commands) > 1:
         raise EdreamError(
-            f"it has {len(states)} measured and {len(commands)} commanded joint topics ({', '.join(sorted(filled))}); expected one measured and at "
+            f"it has {len(states)} measured and {len(commands)} commanded joint topics ({', '.join(sorted(filled))}); "
+            "expected one measured and at "
             "most one commanded. Name them with ingest.position=[/topic] and ingest.command=[/topic]."
         )
     return states[0], commands[0] if commands else None

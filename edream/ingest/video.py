@@ -34,7 +34,7 @@ def image_size(data: bytes, what: str) -> tuple[int, int]:
         width, height = int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")
     elif kind == "jpeg":
         height, width = _jpeg_size(data)
-    if not (0 < height and 0 < width and height * width <= MAX_PIXELS):
+    if not (height > 0 and width > 0 and height * width <= MAX_PIXELS):
         raise EdreamError(f"{what} is no JPEG or PNG of 1 to {MAX_PIXELS} pixels (it declares {height} x {width}).")
     return height, width
 
@@ -166,6 +166,6 @@ def read_header(file: Path) -> VideoHeader:
             duration = float(stream.duration * stream.time_base) if stream.duration and stream.time_base else None
     except (av.FFmpegError, OSError, ValueError, LookupError) as error:
         raise EdreamError(f"Video {file} cannot be opened: {one_line(error)}.") from error
-    if not (0 < height and 0 < width and height * width <= MAX_PIXELS):
+    if not (height > 0 and width > 0 and height * width <= MAX_PIXELS):
         raise EdreamError(f"Video {file} declares images of {height} x {width} pixels; expected 1 to {MAX_PIXELS} pixels.")
     return VideoHeader(height, width, duration)
