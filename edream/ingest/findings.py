@@ -184,7 +184,8 @@ def shifts(episode: Episode) -> dict[str, float]:
     reach = min(int(MAX_LAG / step), len(grid) // 4)
     if reach < 2:
         return {}
-    held = np.clip(np.searchsorted(episode.command_times, grid, side="right") - 1, 0, None)
+    # a command stamped a rounding error after the grid point counts as there already
+    held = np.clip(np.searchsorted(episode.command_times, grid + 1e-3 * step, side="right") - 1, 0, None)
     found = {}
     for column, joint in enumerate(episode.joints):
         measured = np.diff(np.interp(grid, episode.times, episode.position[:, column]))
