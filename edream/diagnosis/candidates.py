@@ -1,0 +1,95 @@
+"""Every effect at every place it can act."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+
+from edream.catalog import load, names
+from edream.core.effect import Effect
+from edream.core.errors import EdreamError
+from edream.diagnosis.problem import Problem, scaling_of
+from edream.sim.simulation import Placement
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An effect that may be missing, at one place.
+
+    Attributes:
+        effect: name in the library.
+        targets: where it acts; several share their numbers.
+    """
+
+    effect: str
+    targets: tuple[str, ...]
+
+    @property
+    def label(self) -> str:
+        return f"{self.effect}[{'+'.join(self.targets)}]" if self.targets else self.effect
+
+
+def placement(problem: Problem, candidate: Candidate) -> Placement:
+    """The candidate as something that can be simulated."""
+    effect = load("effects", candidate.effect, Effect)
+    return Placement(effect, candidate.targets, scaled=scaling_of(problem, candidate.effect))
+
+
+def library(problem: Problem) -> list[Effect]:
+    """The effects that may be named: the whole library or those asked for, less the nuisance and the ignored.
+
+    Raises:
+        EdreamError: nothing is left.
+    """
+    settings = problem.settings
+    chosen = settings.effects or names("effects")
+    left = [name for name in chosen if name not in settings.nuisance and name not in settings.ignored]
+    if not left:
+        raise EdreamError("No effect is left to look for: diagnose.effects names only nuisance or ignored ones.")
+    return [load("effects", name, Effect) for name in left]
+
+
+def rounds(problem: Problem, effects: Sequence[Effect]) -> list[list[Candidate]]:
+    """Candidates in rounds: those of one round act on different joints and are probed in one simulation.
+
+    Joint effects make one round each, over all joints; a pair effect one for each second joint; bodies, geoms and the world one each.
+    """
+    model = problem.robot.model
+    out: list[list[Candidate]] = []
+    for effect in effects:
+        if effect.place == "joint":
+            out.append([Candidate(effect.name, (joint,)) for joint in problem.joints])
+        elif effect.place == "pair":
+            for second in problem.joints:
+                out.append([Candidate(effect.name, (f"{first}<-{second}",)) for first in problem.joints if first != second])
+        elif effect.place == "body":
+            out += [[Candidate(effect.name, (body,))] for body in moving_bodies(problem)]
+        elif effect.place == "geom":
+            out += [[Candidate(effect.name, (geom,))] for geom in loose_geoms(model)]
+        else:
+            out.append([Candidate(effect.name, ())])
+    return [one for one in out if one]
+
+
+def moving_bodies(problem: Problem) -> list[str]:
+    """The link that each recorded joint moves, by name."""
+    model = problem.robot.model
+    bodies = [model.body(int(model.jnt_bodyid[model.joint(joint).id])).name for joint in problem.joints]
+    return [body for body in dict.fromkeys(bodies) if body]
+
+
+def loose_geoms(model: mujoco.MjModel) -> list[str]:
+    """Named geoms of free bodies: objects that the robot may touch."""
+    free = {int(model.jnt_bodyid[j]) for j in range(model.njnt) if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_FREE}
+    return [model.geom(g).name for g in range(model.ngeom) if int(model.geom_bodyid[g]) in free and model.geom(g).name]
+
+
+def tied(problem: Problem, candidates: Sequence[Candidate]) -> list[Candidate]:
+    """Joint candidates of one effect on at least two joints of a hardware group, as one candidate over the whole group."""
+    out = []
+    for effect in dict.fromkeys(c.effect for c in candidates):
+        if load("effects", effect, Effect).place != "joint":
+            continue
+        places = {target for c in candidates if c.effect == effect for target in c.targets}
+        out += [Candidate(effect, group) for group in problem.groups if len(group) > 1 and len(places & set(group)) >= 2]
+    return out

@@ -1,0 +1,220 @@
+"""Which candidates stand: refits with all nuisance numbers free, judged on motions that the refit did not see."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from edream.diagnosis.candidates import Candidate, placement
+from edream.diagnosis.descent import Fit, descend, step_from
+from edream.diagnosis.problem import Problem
+from edream.diagnosis.screen import Scored, extend, screen, with_quantities
+from edream.sim.least_squares import worth
+from edream.sim.rollout import rollout_each
+from edream.sim.objective import Objective, UNSTABLE_RESIDUAL
+
+FOLDS = 5
+REFITTED = 8
+DRAWS = 4000
+SERIOUS_SHARE = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """A candidate refitted.
+
+    Attributes:
+        candidate: effect and place.
+        share: what the score test gave it.
+        fit: the model with it, all nuisance numbers free.
+        errors: mean squared error [rad^2] of each fitted motion while it was left out, (M,).
+        closed: share of the gap above the floor that it closes on left-out motions.
+        sure: whether a paired bootstrap over motions puts the improvement above zero.
+    """
+
+    candidate: Candidate
+    share: float
+    fit: Fit
+    errors: Float[np.ndarray, "M"]
+    closed: float
+    sure: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Round:
+    """One forward step: the gap before it, every candidate tried, best first, and the one taken, if any."""
+
+    before: Fit
+    errors: Float[np.ndarray, "M"]
+    scored: Sequence[Scored]
+    trials: Sequence[Trial]
+    taken: Trial | None
+
+
+def left_out_errors(problem: Problem, fit: Fit) -> Float[np.ndarray, "M"]:
+    """Mean squared error [rad^2] of each fitted motion when its fold is left out of the last step of the fit, (M,).
+
+    The fit has arrived, so leaving a fold out moves it by one Gauss-Newton step over the other folds; the fold is then simulated at
+    the values that never saw it.
+    """
+    windows = fit.objective.windows
+    fold = np.random.default_rng([problem.settings.seed, 11]).permutation(len(windows)) % min(FOLDS, len(windows))
+    sets = []
+    for number in range(len(windows)):
+        rows = ~np.isin(fit.objective.owner, np.flatnonzero(fold == fold[number]))
+        sets.append(fit.space.from_unit(np.clip(fit.unit + step_from(fit, rows), 0.0, 1.0)))
+    simulated = rollout_each(fit.objective.simulated, np.array(sets).reshape(len(windows), -1), windows, problem.settings.threads)
+    return np.array([_mean_square(s, w.measured, problem.counted) for s, w in zip(simulated, windows, strict=True)])
+
+
+def _mean_square(simulated: np.ndarray, measured: np.ndarray, counted: np.ndarray) -> float:
+    residual = np.nan_to_num((simulated - measured)[1:, counted], nan=UNSTABLE_RESIDUAL)
+    return float(np.mean(residual**2))
+
+
+def proof_errors(problem: Problem, fit: Fit) -> Float[np.ndarray, "M"]:
+    """Mean squared error [rad^2] of each motion that was never fitted, (M,)."""
+    windows = problem.proof
+    sets = np.tile(fit.values, (len(windows), 1))
+    simulated = rollout_each(fit.objective.simulated, sets, windows, problem.settings.threads)
+    return np.array([_mean_square(s, w.measured, problem.counted) for s, w in zip(simulated, windows, strict=True)])
+
+
+def bootstrap(gain: Float[np.ndarray, "M"], seed: int) -> tuple[float, float]:
+    """95 % interval of the mean of paired differences, resampling whole motions.
+
+    Source: Efron, Tibshirani, An Introduction to the Bootstrap, 1993, chapter 13 (percentile interval).
+    """
+    rng = np.random.default_rng([seed, 13])
+    means = gain[rng.integers(0, len(gain), (DRAWS, len(gain)))].mean(axis=1)
+    low, high = np.percentile(means, [2.5, 97.5])
+    return float(low), float(high)
+
+
+def forward(problem: Problem, fit: Fit, done: Callable[[str, int], object] = lambda text, n: None) -> tuple[Fit, list[Round]]:
+    """Add effects while they pass, the best on left-out motions first.
+
+    Returns:
+        The final fit and every round, the last of which took nothing unless the most effects were reached.
+    """
+    rounds: list[Round] = []
+    for _ in range(problem.settings.most):
+        errors = left_out_errors(problem, fit)
+        if np.sqrt(errors.mean()) <= 1.25 * problem.floor:
+            rounds.append(Round(fit, errors, [], [], None))
+            break
+        scored = screen(problem, fit, lambda n: done("screening", n))
+        trials = try_best(problem, fit, errors, scored, lambda n: done("refitting", n))
+        taken = next((t for t in trials if passes(problem, t)), None)
+        rounds.append(Round(fit, errors, scored, trials, taken))
+        if taken is None:
+            break
+        fit = descend(replace(taken.fit, scale=worth(taken.fit.objective, taken.fit.residual)), None, 3)
+    return fit, rounds
+
+
+def try_best(
+    problem: Problem,
+    fit: Fit,
+    errors: Float[np.ndarray, "M"],
+    scored: Sequence[Scored],
+    done: Callable[[int], object] = lambda n: None,
+) -> list[Trial]:
+    """Refit the candidates with the largest shares; best on left-out motions first."""
+    serious = [s for s in scored if s.share >= SERIOUS_SHARE][:REFITTED]
+    trials = []
+    for one in serious:
+        trials.append(refit(problem, fit, errors, one))
+        done(1)
+    return sorted(trials, key=lambda t: -t.closed)
+
+
+def refit(problem: Problem, fit: Fit, errors: Float[np.ndarray, "M"], scored: Scored) -> Trial:
+    """One candidate, from where the score test puts it, with all nuisance numbers free."""
+    place = placement(problem, scored.candidate)
+    extended, absent = extend(fit, [place])
+    start = with_quantities(extended, absent, [place], [scored.start])
+    refitted = descend(with_column(fit, extended, start), fresh_columns(fit, extended), iterations=6)
+    left = left_out_errors(problem, refitted)
+    gain = errors - left
+    gap = max(float(errors.mean()) - problem.floor**2, 1e-18)
+    low, _ = bootstrap(gain, problem.settings.seed)
+    return Trial(scored.candidate, scored.share, refitted, left, float(gain.mean()) / gap, low > 0.0)
+
+
+def fresh_columns(fit: Fit, extended: Objective) -> np.ndarray:
+    return np.arange(len(extended.simulated.space)) >= len(fit.unit)
+
+
+def with_column(fit: Fit, extended: Objective, start: Float[np.ndarray, "P"]) -> Fit:
+    """The fit at a larger model's starting point: nuisance columns are kept, the candidate's are differenced."""
+    space = extended.simulated.space
+    unit = np.clip(space.to_unit(start), 0.0, 1.0)
+    new = np.flatnonzero(fresh_columns(fit, extended))
+    steps = np.where(unit + 2e-3 <= 1.0, 2e-3, -2e-3)
+    residuals = extended.residuals(space.from_unit(np.vstack([unit, unit + np.diag(steps)[new]])))
+    columns = ((residuals[1:] - residuals[0]) / steps[new, None]).T
+    return Fit(extended, unit, residuals[0], np.hstack([fit.jacobian, columns]), worth(extended, residuals[0]))
+
+
+def passes(problem: Problem, trial: Trial) -> bool:
+    """Whether a refitted candidate may be named: large enough, sure, and its own numbers away from nothing and from their bounds."""
+    return trial.closed >= problem.settings.gain and trial.sure and stands(problem, trial.candidate, trial.fit)
+
+
+def stands(problem: Problem, candidate: Candidate, fit: Fit) -> bool:
+    """Whether some parameter of the effect has an interval that excludes its absence, and none of those sits at a bound."""
+    place = placement(problem, candidate)
+    intervals, values = fit.intervals(), fit.space.mapping(fit.values)
+    away = []
+    for parameter in place.parameters(problem.robot.model):
+        if parameter.absent is None:
+            continue
+        low, high = intervals[parameter.name]
+        excludes = not low <= parameter.absent <= high
+        margin = 1e-3 * (parameter.high - parameter.low)
+        at_bound = min(values[parameter.name] - parameter.low, parameter.high - values[parameter.name]) < margin
+        away.append(excludes and not at_bound)
+    return any(away)
+
+
+def backward(problem: Problem, fit: Fit, named: Sequence[Candidate]) -> tuple[Fit, list[Candidate]]:
+    """Take out effects that later ones explain: those without which left-out motions are predicted as well."""
+    kept = list(named)
+    for candidate in list(named)[:-1] if len(named) > 1 else []:
+        errors = left_out_errors(problem, fit)
+        smaller = without(fit, candidate)
+        refitted = descend(smaller, None, 3)
+        gain = left_out_errors(problem, refitted) - errors
+        low, _ = bootstrap(gain, problem.settings.seed)
+        gap = max(float((errors + gain).mean()) - problem.floor**2, 1e-18)
+        if low <= 0.0 or float(gain.mean()) / gap < problem.settings.gain:
+            fit, kept = refitted, [c for c in kept if c != candidate]
+    return fit, kept
+
+
+def without(fit: Fit, candidate: Candidate) -> Fit:
+    """The fit's model without one effect, from the same values of all others."""
+    simulated = fit.objective.simulated
+    gone = next(p for p in simulated.placements if (p.effect.name, p.targets) == (candidate.effect, candidate.targets))
+    dropped = {p.name for p in gone.parameters(simulated.robot.model)}
+    keep = np.array([name not in dropped for name in fit.space.names])
+    smaller = replace(fit.objective, simulated=simulated.with_placements([p for p in simulated.placements if p is not gone]))
+    for cached in ("measured", "owner"):
+        smaller.__dict__.pop(cached, None)
+    residual = smaller.residuals(smaller.simulated.space.from_unit(fit.unit[keep]))[0]
+    return Fit(smaller, fit.unit[keep], residual, fit.jacobian[:, keep], worth(smaller, residual))
+
+
+def rivals(trials: Sequence[Trial], winner: Trial, seed: int) -> list[tuple[Trial, bool]]:
+    """The other candidates of a round, and whether left-out motions can tell each from the winner (paired bootstrap)."""
+    out = []
+    for trial in trials:
+        if trial.candidate != winner.candidate:
+            low, _ = bootstrap(trial.errors - winner.errors, seed)
+            out.append((trial, low > 0.0))
+    return out
+
+
+Errors = Mapping[str, float]

@@ -1,0 +1,146 @@
+"""Warm-started refits that reuse a Jacobian: cheap enough to try every serious candidate with all nuisance numbers free."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.optimize import lsq_linear
+
+from edream.core.parameters import ParameterSpace
+from edream.sim.least_squares import jacobian, worth
+from edream.sim.objective import Objective, rms
+
+LONGEST_STEP = 0.2  # of the unit box
+TRIALS = (1.0, 0.5, 0.2)
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A fitted model.
+
+    Attributes:
+        objective: the model and the windows it was fitted to.
+        unit: its parameters in the unit box, (P,).
+        residual: there [rad], (R,).
+        jacobian: d residual / d unit, (R, P).
+        scale: the noise [rad] that one residual row is worth, which weighs the priors.
+    """
+
+    objective: Objective
+    unit: Float[np.ndarray, "P"]
+    residual: Float[np.ndarray, "R"]
+    jacobian: Float[np.ndarray, "R P"]
+    scale: float
+
+    @property
+    def space(self) -> ParameterSpace:
+        return self.objective.simulated.space
+
+    @property
+    def values(self) -> Float[np.ndarray, "P"]:
+        return self.space.from_unit(self.unit)
+
+    @property
+    def rms(self) -> float:
+        return rms(self.residual)
+
+    def covariance(self) -> Float[np.ndarray, "P P"]:
+        """Covariance of the unit-box parameters, robust to errors that differ between motions and last long within one.
+
+            C = H^-1 (sum_m g_m g_m^T + prior) H^-1, H = J^T J / s^2 + prior, g_m = J_m^T r_m / s^2
+
+        Source: Liang, Zeger, Biometrika 73(1), 1986 (cluster-robust sandwich, clusters = motions), with the factor m / (m - 1);
+        the larger of it and H^-1 is taken on the diagonal, since few clusters underestimate.
+        """
+        _, spread = self.space.unit_prior()
+        prior = np.diag(np.where(np.isfinite(spread), spread, np.inf) ** -2.0)
+        hessian = self.jacobian.T @ self.jacobian / self.scale**2 + prior
+        inverse = np.linalg.pinv(hessian, hermitian=True)
+        weighted = self.jacobian * self.residual[:, None] / self.scale**2
+        count = int(self.objective.owner[-1]) + 1
+        scores = np.stack([weighted[self.objective.owner == m].sum(axis=0) for m in range(count)])
+        meat = scores.T @ scores * count / max(count - 1, 1) + prior
+        sandwich = inverse @ meat @ inverse
+        grow = np.sqrt(np.maximum(np.diag(inverse) / np.maximum(np.diag(sandwich), 1e-300), 1.0))
+        return sandwich * grow[:, None] * grow[None, :]
+
+    def intervals(self, level: float = 1.96) -> dict[str, tuple[float, float]]:
+        """95 % interval of each parameter, in its unit, clipped to its box."""
+        half = level * np.sqrt(np.maximum(np.diag(self.covariance()), 0.0))
+        low = self.space.from_unit(np.clip(self.unit - half, 0.0, 1.0))
+        high = self.space.from_unit(np.clip(self.unit + half, 0.0, 1.0))
+        return {name: (float(a), float(b)) for name, a, b in zip(self.space.names, low, high, strict=True)}
+
+
+def step_from(fit: Fit, rows: Bool[np.ndarray, "R"] | None = None, damping: float = 0.0) -> Float[np.ndarray, "P"]:
+    """One bounded Gauss-Newton step in the unit box, over all residual rows or some of them."""
+    centre, spread = fit.space.unit_prior()
+    weight = np.where(np.isfinite(spread), 1.0 / spread, 0.0)
+    jac = fit.jacobian if rows is None else fit.jacobian[rows]
+    res = fit.residual if rows is None else fit.residual[rows]
+    # normal equations through a Cholesky-like square root keep the bounded solve small: P x P instead of R x P
+    hessian = jac.T @ jac / fit.scale**2 + np.diag(weight**2 + damping)
+    gradient = jac.T @ res / fit.scale**2 + weight**2 * (fit.unit - centre)
+    eigen, vectors = np.linalg.eigh(hessian)
+    eigen = np.maximum(eigen, 1e-12 * eigen[-1])
+    root = np.sqrt(eigen)[:, None] * vectors.T
+    target = -(vectors.T @ gradient) / np.sqrt(eigen)
+    low = np.maximum(-fit.unit, -LONGEST_STEP) - 1e-12
+    high = np.minimum(1.0 - fit.unit, LONGEST_STEP) + 1e-12
+    return lsq_linear(root, target, bounds=(low, high), method="bvls").x
+
+
+def cost(fit: Fit) -> float:
+    """Sum of squares of the residual, in units of its worth, and of the distance to the priors."""
+    centre, spread = fit.space.unit_prior()
+    known = np.isfinite(spread)
+    away = ((fit.unit - centre) / spread)[known]
+    return float((fit.residual**2).sum() / fit.scale**2 + (away**2).sum())
+
+
+def begin(objective: Objective, unit: Float[np.ndarray, "P"]) -> Fit:
+    """A fit at a starting point, with a fresh Jacobian."""
+    space = objective.simulated.space
+    residual = objective.residuals(space.from_unit(unit))[0]
+    return Fit(objective, unit, residual, jacobian(objective, space, unit, residual), worth(objective, residual))
+
+
+def descend(fit: Fit, fresh: Bool[np.ndarray, "P"] | None = None, iterations: int = 6, tolerance: float = 3e-3) -> Fit:
+    """Go down until a step gains less than `tolerance` of the cost.
+
+    Each step solves the bounded, prior-weighted linear problem and tries it at three lengths in one batch. Columns in `fresh` are
+    differenced anew after each step, the others follow by Broyden's update.
+
+    Args:
+        fit: where to begin.
+        fresh: which columns to difference anew, (P,); all where None.
+        iterations: most steps.
+        tolerance: relative gain below which the fit has arrived.
+    """
+    space = fit.space
+    for _ in range(iterations):
+        move = step_from(fit)
+        trials = np.clip(fit.unit + np.outer(TRIALS, move), 0.0, 1.0)
+        residuals = fit.objective.residuals(space.from_unit(trials))
+        costs = [cost(replace(fit, unit=u, residual=r)) for u, r in zip(trials, residuals, strict=True)]
+        best = int(np.argmin(costs))
+        before = cost(fit)
+        if not costs[best] < before:
+            break
+        fit = _moved(fit, trials[best], residuals[best], fresh)
+        if before - costs[best] < tolerance * before:
+            break
+    return fit
+
+
+def _moved(fit: Fit, unit: np.ndarray, residual: np.ndarray, fresh: np.ndarray | None) -> Fit:
+    columns = np.ones(len(unit), dtype=bool) if fresh is None else fresh
+    change = unit - fit.unit
+    surprise = residual - fit.residual - fit.jacobian @ change
+    jac = fit.jacobian + np.outer(surprise, change) / max(float(change @ change), 1e-12)
+    if columns.any():
+        steps = np.where(unit + 2e-3 <= 1.0, 2e-3, -2e-3)
+        chosen = np.flatnonzero(columns)
+        moved = fit.objective.residuals(fit.space.from_unit(unit + np.diag(steps)[chosen]))
+        jac[:, chosen] = ((moved - residual) / steps[chosen, None]).T
+    return replace(fit, unit=unit, residual=residual, jacobian=jac, scale=worth(fit.objective, residual))

@@ -1,0 +1,205 @@
+"""What a diagnosis works on: the recordings it may fit, those it may not, the model's known unknowns and the noise floor."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float
+
+from edream.catalog import load
+from edream.core.effect import Effect
+from edream.core.episode import Episode
+from edream.core.errors import EdreamError
+from edream.sim.rollout import Window, whole
+from edream.sim.simulation import Placement, Scaling
+from edream.sim.robot import RobotModel
+
+CREDIBLE_FACTOR = 2.5
+NOMINAL_SPREAD = math.log(1.35)
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What a diagnosis is told.
+
+    Attributes:
+        nuisance: effects that every real robot has, refitted beside each candidate; all others are candidates.
+        ties: groups of joints that share hardware and so may share numbers.
+        scaled: parameter "effect.quantity" -> the recorded condition that multiplies it.
+        effects: candidates by name, or empty for the whole library.
+        ignored: effects that are left out.
+        joints: joints whose error counts, or empty for all.
+        until: seconds of each motion that are used, or None for all.
+        proof: share of the motions that is kept for the proof and never fitted.
+        held_out: motions kept for the proof by name, instead of a share.
+        stride: every how many measurements one counts.
+        model_floor: disagreement [rad] that two correct simulators may have, by their integration.
+        gain: smallest share of the remaining gap that an effect must close on motions it was not fitted to.
+        most: most effects that are named.
+        seed: of the split and the bootstrap.
+        threads: simulation threads, 0 for all.
+    """
+
+    nuisance: tuple[str, ...] = ("servo_gain", "viscous", "coulomb", "armature")
+    ties: tuple[tuple[str, ...], ...] = ()
+    scaled: Mapping[str, Scaling] = field(default_factory=dict)
+    effects: tuple[str, ...] = ()
+    ignored: tuple[str, ...] = ()
+    joints: tuple[str, ...] = ()
+    until: float | None = None
+    proof: float = 0.25
+    held_out: tuple[str, ...] = ()
+    stride: int = 1
+    model_floor: float = 5e-4
+    gain: float = 0.10
+    most: int = 4
+    seed: int = 0
+    threads: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """One diagnosis, made ready.
+
+    Attributes:
+        robot: the published (or calibrated) model.
+        settings: what it was told.
+        groups: the robot's joints in groups that share hardware.
+        fitted: windows that may be fitted, one a motion.
+        proof: windows of the motions that are never fitted.
+        counted: which joints' errors count, (J,).
+        noise: standard deviation of each joint's measurement [rad], (J,).
+    """
+
+    robot: RobotModel
+    settings: Settings
+    groups: tuple[tuple[str, ...], ...]
+    fitted: tuple[Window, ...]
+    proof: tuple[Window, ...]
+    counted: np.ndarray
+    noise: Float[np.ndarray, "J"]
+
+    @property
+    def noise_floor(self) -> float:
+        """Root mean square of the measurement noise over the joints that count [rad]."""
+        return float(np.sqrt(np.mean(self.noise[self.counted] ** 2)))
+
+    @property
+    def floor(self) -> float:
+        """What a true simulator would leave [rad]: measurement noise and the integration's own error."""
+        return math.hypot(self.noise_floor, self.settings.model_floor)
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Joints that are commanded, recorded and counted."""
+        names = self.fitted[0].episode.joints
+        return tuple(name for name, counts in zip(names, self.counted, strict=True) if counts)
+
+
+def prepare(robot: RobotModel, episodes: Sequence[Episode], settings: Settings) -> Problem:
+    """Split the motions, group the joints and measure the noise.
+
+    Raises:
+        EdreamError: fewer than four motions, or a name that does not exist.
+    """
+    if len(episodes) < 4:
+        raise EdreamError(
+            f"A diagnosis needs at least 4 motions, so that some are never fitted; the data has {len(episodes)}. "
+            "Record more, or cut long recordings into several."
+        )
+    joints = episodes[0].joints
+    for name in settings.joints:
+        robot.joint_index(name)
+    counted = np.array([not settings.joints or joint in settings.joints for joint in joints])
+    windows = [window for window in whole(episodes, settings.until) if window.last - window.first >= 20]
+    kept = _proof_names([w.episode.name for w in windows], settings)
+    tied = {joint for group in settings.ties for joint in group}
+    groups = (*settings.ties, *((joint,) for joint in joints if joint not in tied))
+    return Problem(
+        robot=robot,
+        settings=settings,
+        groups=tuple(tuple(j for j in group if j in joints) for group in groups),
+        fitted=tuple(w for w in windows if w.episode.name not in kept),
+        proof=tuple(w for w in windows if w.episode.name in kept),
+        counted=counted,
+        noise=measurement_noise([w.episode for w in windows]),
+    )
+
+
+def _proof_names(names: Sequence[str], settings: Settings) -> set[str]:
+    if settings.held_out:
+        missing = sorted(set(settings.held_out) - set(names))
+        if missing:
+            raise EdreamError(f"Motions to hold out do not exist: {', '.join(missing)}. What exists: {', '.join(sorted(names))}.")
+        return set(settings.held_out)
+    count = max(1, round(settings.proof * len(names)))
+    order = np.random.default_rng([settings.seed, 7]).permutation(len(names))
+    return {sorted(names)[i] for i in order[:count]}
+
+
+def measurement_noise(episodes: Sequence[Episode]) -> Float[np.ndarray, "J"]:
+    """Standard deviation of each joint's measurement [rad], (J,).
+
+    The larger of the encoder step's (step / sqrt 12) and that of the third differences of the position (scaled by sqrt 20) over
+    the quieter half of the recording, where the motion itself has none to speak of.
+    """
+    columns = []
+    for joint in range(episodes[0].position.shape[1]):
+        third = np.concatenate([np.diff(e.position[:, joint], 3) for e in episodes])
+        speed = np.concatenate([np.abs(e.position[3:, joint] - e.position[:-3, joint]) for e in episodes])
+        quiet = np.abs(third[speed <= np.median(speed)])
+        spread = 1.4826 * float(np.median(quiet)) / math.sqrt(20.0)
+        columns.append(max(spread, encoder_step(episodes, joint) / math.sqrt(12.0)))
+    return np.array(columns)
+
+
+def encoder_step(episodes: Sequence[Episode], joint: int) -> float:
+    """Smallest step of a joint's encoder [rad]: the 5th percentile of the non-zero differences between sorted readings."""
+    readings = np.unique(np.concatenate([np.round(e.position[:, joint], 7) for e in episodes]))
+    gaps = np.diff(readings)
+    gaps = gaps[gaps > 1e-6]
+    return float(np.percentile(gaps, 5)) if len(gaps) > 20 else 0.0
+
+
+def nuisance_placements(problem: Problem, fitted: Mapping[str, float] | None = None) -> tuple[Placement, ...]:
+    """The effects that every real robot has, on each group of joints.
+
+    Priors: a published number is believed to within 35 % (one standard deviation). Where a first fit without priors (`fitted`)
+    leads away from it by more than a factor of 2.5, the published number is not credible and the prior becomes a wide one around
+    the fitted value.
+    """
+    placements = []
+    for name in problem.settings.nuisance:
+        effect = load("effects", name, Effect)
+        for group in problem.groups:
+            bare = Placement(effect, group, scaled=scaling_of(problem, name))
+            bounds = {}
+            for short, full in _names(bare, problem):
+                parameter = next(p for p in effect.parameters(problem.robot.model, group) if p.name == short)
+                bounds[short] = _prior(parameter, None if fitted is None else fitted[full])
+            placements.append(Placement(effect, group, scaled=bare.scaled, bounds=bounds))
+    return tuple(placements)
+
+
+def _names(placement: Placement, problem: Problem) -> list[tuple[str, str]]:
+    parameters = placement.effect.parameters(problem.robot.model, placement.targets)
+    return [(p.name, placement.full_name(p.name)) for p in parameters]
+
+
+def _prior(parameter, fitted: float | None) -> dict[str, float]:
+    if fitted is None:
+        return {}
+    nominal = parameter.start
+    ratio = (fitted + 1e-12) / (nominal + 1e-12)
+    credible = nominal > 0.0 and 1.0 / CREDIBLE_FACTOR <= ratio <= CREDIBLE_FACTOR
+    centre = nominal if credible else float(np.clip(fitted, parameter.low, parameter.high))
+    if parameter.scale == "log":
+        return {"start": centre, "spread": NOMINAL_SPREAD if credible else 1.0}
+    scale = max(centre, 0.02 * (parameter.high - parameter.low))
+    return {"start": centre, "spread": (0.5 if credible else 1.0) * scale}
+
+
+def scaling_of(problem: Problem, effect: str) -> dict[str, Scaling]:
+    """Which quantities of an effect a recorded condition multiplies."""
+    return {key.split(".")[1]: scaling for key, scaling in problem.settings.scaled.items() if key.split(".")[0] == effect}

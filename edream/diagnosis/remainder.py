@@ -1,0 +1,223 @@
+"""What is left and has no name: a short formula for it, found by sparse regression in the simulator's own response.
+
+Each feature is a torque on the joint with the largest gap, such as a bump over its angle or its neighbour's speed. A probe simulation
+gives what a little of it does to the motion; orthogonal matching pursuit picks the few whose responses explain the residual; their
+coefficients are refitted with all nuisance numbers free. Source: Pati, Rezaiifar, Krishnaprasad, Asilomar 1993 (matching pursuit);
+Brunton, Proctor, Kutz, PNAS 113(15), 2016 (sparse identification of dynamics).
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+
+from edream.core.effect import Effect, State
+from edream.core.parameters import Parameter
+from edream.diagnosis.decide import bootstrap, fresh_columns, left_out_errors, with_column
+from edream.diagnosis.descent import Fit, descend
+from edream.diagnosis.problem import Problem
+from edream.diagnosis.screen import Projection, extend
+from edream.sim.scales import torque_scale
+from edream.sim.simulation import Placement
+
+BUMPS = 8
+MOST_TERMS = 6
+SMALLEST_GAIN = 0.03  # share of the residual that a further term must explain
+FEATURES = (
+    "constant",
+    "angle",
+    "speed",
+    "drag",
+    "direction",
+    "direction_angle",
+    "load",
+    "direction_load",
+    "error",
+    "time",
+    "direction_time",
+)
+
+
+def residual_torque(state: State, index: dict[str, int], values: Mapping[str, Any]) -> None:
+    """A torque that no named effect explains, as a sum of simple terms."""
+    q, v = state.qpos[:, index["qpos"]], state.qvel[:, index["dof"]]
+    load = state.qfrc_bias[:, index["dof"]]
+    direction = np.tanh(v / 0.02)
+    terms = {
+        "constant": 1.0,
+        "angle": q,
+        "speed": v,
+        "drag": v * abs(v),
+        "direction": direction,
+        "direction_angle": direction * q,
+        "load": load,
+        "direction_load": direction * abs(load),
+        "error": state.ctrl[:, index["ctrl"]] - q,
+        "time": state.time,
+        "direction_time": direction * state.time,
+    }
+    torque = 0.0
+    for name, coefficient in values.items():
+        kind, _, rest = name.partition("_at_")
+        if name in terms:
+            torque = torque + coefficient * terms[name]
+        elif kind in ("bump", "direction_bump", "speed_bump"):
+            number = rest.split("_")[0]
+            shape = np.exp(-0.5 * ((q - values["centre_" + number]) / values["width"]) ** 2)
+            torque = torque + coefficient * shape * {"bump": 1.0, "direction_bump": direction, "speed_bump": v}[kind]
+        elif kind in ("other_angle", "other_speed", "speed_product"):
+            dof = int(rest)
+            other = state.qpos[:, dof] if kind == "other_angle" else state.qvel[:, dof]
+            torque = torque + coefficient * other * (v if kind == "speed_product" else 1.0)
+    state.torque[:, index["dof"]] += torque
+
+
+class ResidualTorque(Effect):
+    """A sum of torque terms on one joint, each with its own coefficient; the terms are chosen per instance."""
+
+    name = "residual_torque"
+    summary = "a torque that has no name"
+    place = "joint"
+    hook = staticmethod(residual_torque)
+
+    def __init__(self, terms: Sequence[str], scales: Sequence[float], shape: Mapping[str, float]) -> None:
+        self.terms, self.scales, self.shape = tuple(terms), tuple(scales), dict(shape)
+
+    def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
+        """One coefficient a term, in units that give a torque, and the fixed shape of the bumps."""
+        torque = torque_scale(model, targets[0])
+        terms = [
+            Parameter(name, "N m per term", -3.0 * torque / s, 3.0 * torque / s, 0.0, absent=0.0, spread=torque / s)
+            for name, s in zip(self.terms, self.scales, strict=True)
+        ]
+        return (*terms, *(Parameter(name, "rad", value - 1.0, value + 1.0, value) for name, value in self.shape.items()))
+
+
+@dataclass(frozen=True, eq=False)
+class Remainder:
+    """A gap without a name.
+
+    Attributes:
+        joint: where it is largest.
+        formula: the torque that describes it [N m].
+        placement: the term as something that can be simulated.
+        fit: the model with the term.
+        errors: left-out mean squared errors with it [rad^2], (M,).
+        real: whether left-out motions confirm it.
+    """
+
+    joint: str
+    formula: str
+    placement: Placement
+    fit: Fit
+    errors: Float[np.ndarray, "M"]
+    real: bool
+
+
+def find_remainder(problem: Problem, fit: Fit) -> Remainder | None:
+    """Describe what is left on the joint where most is left; None where no term explains enough."""
+    joint = _worst_joint(problem, fit)
+    shape, candidates = _candidates(problem, joint)
+    scales = _scales(problem, joint, candidates)
+    everything = ResidualTorque(list(candidates), scales, shape)
+    placed = Placement(everything, (joint,), fixed=shape)
+    extended, absent = extend(fit, [placed])
+    torque = 0.05 * torque_scale(problem.robot.model, joint)
+    steps = torque / np.array(scales)
+    sets = np.repeat(absent[None], len(candidates) + 1, axis=0)
+    sets[1:, len(fit.unit) :] += np.diag(steps)
+    residuals = extended.residuals(sets)
+    chosen = _pursue(Projection(fit.jacobian), residuals, fit)
+    if not chosen:
+        return None
+    names = [candidates[i] for i in chosen]
+    used = {
+        k: v for k, v in shape.items() if k == "width" or any(n.partition("_at_")[2] == k.removeprefix("centre_") for n in names)
+    }
+    used = used if any("bump" in n for n in names) else {}
+    small = Placement(ResidualTorque(names, [scales[i] for i in chosen], used), (joint,), fixed=used)
+    begun, zero = extend(fit, [small])
+    refitted = descend(with_column(fit, begun, zero), fresh_columns(fit, begun), iterations=6)
+    errors, before = left_out_errors(problem, refitted), left_out_errors(problem, fit)
+    low, _ = bootstrap(before - errors, problem.settings.seed)
+    gap = max(float(before.mean()) - problem.floor**2, 1e-18)
+    real = low > 0.0 and float((before - errors).mean()) / gap >= problem.settings.gain
+    return Remainder(joint, _formula(refitted, small), small, refitted, errors, real)
+
+
+def _worst_joint(problem: Problem, fit: Fit) -> str:
+    parts = np.concatenate(fit.objective.per_window(fit.residual))
+    return problem.joints[int(np.argmax((parts**2).mean(axis=0)))]
+
+
+def _candidates(problem: Problem, joint: str) -> tuple[dict[str, float], list[str]]:
+    """Bump centres over the visited range of the joint, and the names of all terms."""
+    column = problem.fitted[0].episode.joints.index(joint)
+    visited = np.concatenate([w.measured[:, column] for w in problem.fitted])
+    low, high = np.percentile(visited, [1, 99])
+    centres = np.linspace(low, high, BUMPS)
+    shape = {f"centre_{i}": float(c) for i, c in enumerate(centres)} | {"width": max(float((high - low) / (BUMPS - 1)) * 0.7, 1e-3)}
+    model = problem.robot.model
+    others = [int(model.jnt_dofadr[model.joint(name).id]) for name in problem.joints if name != joint]
+    names = list(FEATURES)
+    names += [f"{kind}_at_{i}" for kind in ("bump", "direction_bump", "speed_bump") for i in range(BUMPS)]
+    names += [f"{kind}_at_{dof}" for kind in ("other_angle", "other_speed", "speed_product") for dof in others]
+    return shape, names
+
+
+def _scales(problem: Problem, joint: str, names: Sequence[str]) -> list[float]:
+    """How large each term typically is, so that coefficients are searched on a torque's scale."""
+    load = max(torque_scale(problem.robot.model, joint), 1e-6)
+    typical = {"drag": 1.0, "load": load, "direction_load": load, "error": 0.05, "time": 10.0, "direction_time": 10.0}
+    return [typical.get(name, 1.0) for name in names]
+
+
+def _pursue(projection: Projection, residuals: Float[np.ndarray, "F R"], fit: Fit) -> list[int]:
+    """Orthogonal matching pursuit over the terms' responses."""
+    responses = np.stack([projection.out(r - residuals[0]) for r in residuals[1:]])
+    target = projection.out(residuals[0])
+    total = float(target @ target)
+    sizes = np.linalg.norm(responses, axis=1)
+    usable = sizes > 1e-9 * np.sqrt(len(target))
+    chosen: list[int] = []
+    left = target
+    for _ in range(MOST_TERMS):
+        match = np.where(usable, np.abs(responses @ left) / np.maximum(sizes, 1e-30), 0.0)
+        match[chosen] = 0.0
+        best = int(np.argmax(match))
+        columns = responses[[*chosen, best]].T
+        solved = np.linalg.lstsq(columns, target, rcond=1e-6)[0]
+        remaining = target - columns @ solved
+        if float(left @ left - remaining @ remaining) < SMALLEST_GAIN * total:
+            break
+        chosen.append(best)
+        left = remaining
+    return chosen
+
+
+def _formula(fit: Fit, placement: Placement) -> str:
+    """The torque in words and numbers [N m], q the angle, v the speed, dof numbers for other joints."""
+    values = fit.space.mapping(fit.values)
+    shape = dict(placement.fixed or {})
+    terms = []
+    for parameter in placement.parameters(fit.objective.simulated.robot.model):
+        quantity = parameter.name.split(".")[1].split("[")[0]
+        terms.append(f"{values[parameter.name]:+.3g} {_words(quantity, shape)}")
+    return "tau = " + " ".join(terms) + " N m"
+
+
+def _words(quantity: str, shape: Mapping[str, float]) -> str:
+    plain = {
+        "constant": "1", "angle": "q", "speed": "v", "drag": "v|v|", "direction": "sign(v)", "direction_angle": "sign(v) q",
+        "load": "load", "direction_load": "sign(v) |load|", "error": "(u - q)", "time": "t", "direction_time": "sign(v) t",
+    }  # fmt: skip
+    if quantity in plain:
+        return plain[quantity]
+    kind, _, rest = quantity.partition("_at_")
+    if kind.endswith("bump"):
+        bump = f"bump(q at {shape['centre_' + rest]:.2f} rad, width {shape['width']:.2f})"
+        return {"bump": bump, "direction_bump": f"sign(v) {bump}", "speed_bump": f"v {bump}"}[kind]
+    return {"other_angle": f"q{rest}", "other_speed": f"v{rest}", "speed_product": f"v v{rest}"}[kind]

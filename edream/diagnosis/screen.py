@@ -1,0 +1,178 @@
+"""Score test: which candidate's fingerprint is in what the nuisance numbers cannot explain?
+
+At the best fit without the candidate let r be the residual and J its Jacobian. A probe simulation with a little of the candidate
+changes the residual by D. Project J out of both (the nuisance numbers would take that part). The share of r that the candidate can
+explain, to first order, is
+
+    share = (D' . r')^2 / (|D'|^2 |r'|^2),   and its size is alpha = - (D' . r') / |D'|^2 probes.
+
+Source: Rao's score test, Mathematical Proceedings of the Cambridge Philosophical Society 44(1), 1948.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from edream.diagnosis.candidates import Candidate, library, placement, rounds, tied
+from edream.diagnosis.descent import Fit
+from edream.diagnosis.problem import Problem
+from edream.sim.objective import Objective
+from edream.sim.simulation import Placement, SimulatedRobot
+
+FINALISTS = 24
+LARGEST_ALPHA = 20.0
+
+
+@dataclass(frozen=True, eq=False)
+class Scored:
+    """A candidate and how much of the gap its fingerprint explains.
+
+    Attributes:
+        candidate: effect and place.
+        start: its quantities, where a refit had best begin.
+        share: share of the squared residual that it explains at `start`, 0 to 1.
+    """
+
+    candidate: Candidate
+    start: Mapping[str, float]
+    share: float
+
+
+def screen(problem: Problem, fit: Fit, done: Callable[[int], object] = lambda n: None) -> list[Scored]:
+    """Every effect at every place, best first. Calls `done(n)` as n rounds are finished."""
+    base = Projection(fit.jacobian)
+    residual = base.out(fit.residual)
+    total = float(residual @ residual)
+    present = {(p.effect.name, p.targets) for p in fit.objective.simulated.placements}
+    first: list[Scored] = []
+    for one in rounds(problem, library(problem)):
+        fresh = [c for c in one if (c.effect, c.targets) not in present]
+        if fresh:
+            first += _probe_round(problem, fit, fresh, total)
+        done(1)
+    first.sort(key=lambda s: -s.share)
+    chosen = first[:FINALISTS]
+    best_each = {s.candidate.effect: s for s in reversed(first) if s.share > 0.0}
+    chosen += [s for s in best_each.values() if s not in chosen]
+    joined = [_joined(c, first) for c in tied(problem, [s.candidate for s in first if s.share > 0.002])]
+    second = [again for s in (*chosen, *joined) if (again := confirm(problem, fit, s, base, total)) is not None]
+    done(1)
+    return sorted(second, key=lambda s: -s.share)
+
+
+def _joined(candidate: Candidate, first: Sequence[Scored]) -> Scored:
+    """A hardware group's candidate, starting where its best joint would."""
+    own = [s for s in first if s.candidate.effect == candidate.effect and set(s.candidate.targets) <= set(candidate.targets)]
+    best = max(own, key=lambda s: s.share)
+    return Scored(candidate, best.start, sum(s.share for s in own))
+
+
+class Projection:
+    """Takes out of a residual what a linear change of the nuisance numbers explains."""
+
+    def __init__(self, columns: Float[np.ndarray, "R P"]) -> None:
+        scale = np.linalg.norm(columns, axis=0)
+        kept = columns[:, scale > 0.0] / scale[scale > 0.0]
+        basis, size, _ = np.linalg.svd(kept, full_matrices=False) if kept.size else (kept, np.zeros(0), None)
+        self.basis = basis[:, size > 1e-6 * size.max(initial=0.0)]
+
+    def out(self, vector: Float[np.ndarray, "R"]) -> Float[np.ndarray, "R"]:
+        return vector - self.basis @ (self.basis.T @ vector)
+
+
+def _probe_round(problem: Problem, fit: Fit, candidates: Sequence[Candidate], total: float) -> list[Scored]:
+    """All candidates of a round probed at once; each is judged on its own joint's residual where it acts on one."""
+    placements = [placement(problem, c) for c in candidates]
+    extended, absent = extend(fit, placements)
+    probes = [p.effect.probes(problem.robot.model, p.targets) for p in placements]
+    count = max(len(p) for p in probes)
+    sets = [absent] + [with_quantities(extended, absent, placements, [p[min(i, len(p) - 1)] for p in probes]) for i in range(count)]
+    residuals = extended.residuals(np.array(sets))
+    out = []
+    for c, place, own in zip(candidates, placements, probes, strict=True):
+        rows, columns = _own_rows(problem, fit, c)
+        projection = Projection(fit.jacobian[np.ix_(rows, columns)])
+        here = projection.out(residuals[0][rows])
+        best = Scored(c, own[0], 0.0)
+        for i, probe in enumerate(own):
+            change = projection.out(residuals[i + 1][rows] - residuals[0][rows])
+            size = float(change @ change)
+            if size <= 1e-16 * len(rows):
+                continue
+            alpha = -float(change @ here) / size
+            start = scaled_probe(place, problem, probe, alpha)
+            share = float(change @ here) ** 2 / size / total
+            if start is not None and share > best.share:
+                best = Scored(c, start, share)
+        out.append(best)
+    return out
+
+
+def _own_rows(problem: Problem, fit: Fit, candidate: Candidate) -> tuple[np.ndarray, np.ndarray]:
+    """Residual rows and nuisance columns that concern the joint that a candidate acts on; all, where it acts on none."""
+    everything = np.arange(len(fit.residual)), np.arange(len(fit.unit))
+    target = candidate.targets[0].split("<-")[0] if candidate.targets else ""
+    if target not in problem.joints:
+        return everything
+    width = len(problem.joints)
+    rows = np.arange(problem.joints.index(target), len(fit.residual), width)
+    columns = np.flatnonzero([target in name for name in fit.space.names])
+    return rows, columns if len(columns) else everything[1]
+
+
+def confirm(problem: Problem, fit: Fit, scored: Scored, base: Projection, total: float) -> Scored | None:
+    """A candidate alone, simulated at three sizes around where the score test puts it; None where nothing helps."""
+    place = placement(problem, scored.candidate)
+    extended, absent = extend(fit, [place])
+    starts = [s for factor in (0.5, 1.0, 1.8) if (s := scaled_probe(place, problem, scored.start, factor)) is not None]
+    if not starts:
+        return None
+    residuals = extended.residuals(np.array([with_quantities(extended, absent, [place], [start]) for start in starts]))
+    left = [float(np.sum(base.out(r) ** 2)) for r in residuals]
+    best = int(np.argmin(left))
+    share = 1.0 - left[best] / total
+    return Scored(scored.candidate, starts[best], share) if share > 0.0 else None
+
+
+def extend(fit: Fit, placements: Sequence[Placement]) -> tuple[Objective, Float[np.ndarray, "P"]]:
+    """The fit's model with more effects, and its parameter set with all of them absent."""
+    simulated = fit.objective.simulated
+    longer = simulated.with_placements([*simulated.placements, *placements])
+    start = np.concatenate([fit.values, absent_values(longer, placements)])
+    return replace(fit.objective, simulated=longer, simulations=0), start
+
+
+def absent_values(simulated: SimulatedRobot, placements: Sequence[Placement]) -> Float[np.ndarray, "Q"]:
+    """The parameters of some placements at the values at which their effects are not there."""
+    parameters = [p for place in placements for p in place.parameters(simulated.robot.model)]
+    return np.array([p.start if p.absent is None else p.absent for p in parameters])
+
+
+def with_quantities(
+    extended: Objective, absent: Float[np.ndarray, "P"], placements: Sequence[Placement], quantities: Sequence[Mapping[str, float]]
+) -> Float[np.ndarray, "P"]:
+    """A parameter set with some placements' quantities put in."""
+    values = absent.copy()
+    names = extended.simulated.space.names
+    for place, numbers in zip(placements, quantities, strict=True):
+        for quantity, number in numbers.items():
+            values[names.index(place.full_name(quantity))] = number
+    return values
+
+
+def scaled_probe(place: Placement, problem: Problem, probe: Mapping[str, float], factor: float) -> dict[str, float] | None:
+    """A probe made `factor` times as strong, inside the box; None where that would take it out on the absent side."""
+    out = dict(probe)
+    factor = float(np.clip(factor, -LARGEST_ALPHA, LARGEST_ALPHA))
+    moved = False
+    for parameter in place.effect.parameters(problem.robot.model, place.targets):
+        if parameter.absent is None:
+            continue
+        if np.isinf(parameter.absent) or parameter.name not in probe:
+            continue
+        value = parameter.absent + factor * (probe[parameter.name] - parameter.absent)
+        out[parameter.name] = float(np.clip(value, parameter.low, parameter.high))
+        moved |= abs(out[parameter.name] - parameter.absent) > 1e-9
+    return out if moved else None

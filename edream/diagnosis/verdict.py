@@ -1,0 +1,232 @@
+"""From evidence to a sentence: named, none, cannot tell, or unnamed."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from edream.catalog import load
+from edream.core.effect import Effect
+from edream.diagnosis.candidates import Candidate, placement
+from edream.diagnosis.decide import Round, Trial, backward, forward, proof_errors, rivals
+from edream.diagnosis.descent import Fit
+from edream.diagnosis.nuisance import fit_nuisance, published
+from edream.diagnosis.problem import Problem
+from edream.diagnosis.remainder import Remainder, find_remainder
+from edream.sim.objective import rms
+
+ALIKE = 0.9  # a rival that closes this share of what the winner closes may be the true one
+OFF_NOMINAL = 1.45  # how many times off its published value a nuisance number must be to be an effect itself
+REAL_GAP = 1.8  # how many floors of left-out error are a gap worth a name
+ENOUGH = 0.5  # share of the gap that named effects must close, or what is left has no name
+
+Verdict = Literal["named", "none", "cannot_tell", "unnamed"]
+
+
+@dataclass(frozen=True)
+class Named:
+    """One effect that the simulator lacks.
+
+    Attributes:
+        name, summary: its entry in the library and the words of the sentence.
+        targets: joints (or bodies) it acts on.
+        values, intervals: its parameters by quantity, with 95 % intervals.
+        units: their units.
+        closed: share of the gap then remaining that it closed on left-out motions.
+        runner_up: the next best candidate, and the share that it closed.
+        confusable_with: candidates that these motions cannot tell from it.
+    """
+
+    name: str
+    summary: str
+    targets: tuple[str, ...]
+    values: Mapping[str, float]
+    intervals: Mapping[str, tuple[float, float]]
+    units: Mapping[str, str]
+    closed: float
+    runner_up: tuple[str, float] | None
+    confusable_with: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """What was found, and the evidence.
+
+    Attributes:
+        problem: what was worked on.
+        verdict: the outcome.
+        sentence: the outcome in words.
+        effects: what is missing.
+        before: the model with nuisance numbers fitted; `after`: with the named effects (and the remainder's term, if any).
+        published_rms, before_rms, after_rms: error [rad] on motions that were never fitted.
+        rounds: every forward step with its candidates.
+        ladder: label of each step and the error [rad] on each never-fitted motion, (M,).
+        remainder: what is left described by a formula, where it has no name.
+    """
+
+    problem: Problem
+    verdict: Verdict
+    sentence: str
+    effects: tuple[Named, ...]
+    before: Fit
+    after: Fit
+    published_rms: float
+    before_rms: float
+    after_rms: float
+    rounds: Sequence[Round]
+    ladder: Sequence[tuple[str, Float[np.ndarray, "M"]]]
+    remainder: Remainder | None
+
+
+def diagnose(problem: Problem, done: Callable[[str, int], object] = lambda text, n: None) -> Diagnosis:
+    """The whole diagnosis of one problem.
+
+    Args:
+        problem: robot, motions and settings.
+        done: called with what is under way and how many units of it are finished.
+    """
+    plain = published(problem)
+    start = Fit(plain, np.zeros(0), np.zeros(0), np.zeros((0, 0)), 1.0)
+    ladder = [("published", np.sqrt(proof_errors(problem, start)))]
+    before = fit_nuisance(problem)
+    done("nuisance", 1)
+    ladder.append(("calibrated", np.sqrt(proof_errors(problem, before))))
+    fit, rounds = forward(problem, before, done)
+    taken = [one.taken for one in rounds if one.taken is not None]
+    ladder += [(_label(t), np.sqrt(proof_errors(problem, t.fit))) for t in taken]
+    fit, kept = backward(problem, fit, [t.candidate for t in taken])
+    trials = [t for t in taken if t.candidate in kept]
+    effects = [_named(problem, fit, t, rounds) for t in trials] or off_nominal(problem, fit)
+    remainder = None
+    if needs_remainder(problem, rounds, trials):
+        remainder = find_remainder(problem, fit)
+        done("remainder", 1)
+    verdict = judge(problem, rounds, trials, effects, remainder)
+    if verdict == "unnamed" and remainder is not None:
+        fit = remainder.fit
+        ladder.append(("remainder", np.sqrt(proof_errors(problem, fit))))
+    after = np.sqrt(proof_errors(problem, fit))
+    return Diagnosis(
+        problem=problem,
+        verdict=verdict,
+        sentence=sentence(verdict, effects, remainder),
+        effects=tuple(effects),
+        before=before,
+        after=fit,
+        published_rms=rms(ladder[0][1]),
+        before_rms=rms(ladder[1][1]),
+        after_rms=rms(after),
+        rounds=rounds,
+        ladder=ladder,
+        remainder=remainder if verdict == "unnamed" else None,
+    )
+
+
+def _label(trial: Trial) -> str:
+    return f"+ {trial.candidate.label}"
+
+
+def _named(problem: Problem, fit: Fit, trial: Trial, rounds: Sequence[Round]) -> Named:
+    own = next(r for r in rounds if r.taken is trial)
+    others = rivals(own.trials, trial, problem.settings.seed)
+    alike = tuple(
+        other.candidate.label
+        for other, told in others
+        if not told and other.closed >= ALIKE * trial.closed and _different(other, trial)
+    )
+    different = [other for other, _ in others if _different(other, trial)]
+    runner = (different[0].candidate.label, different[0].closed) if different else None
+    values, intervals, units = numbers_of(problem, fit, trial.candidate)
+    effect = load("effects", trial.candidate.effect, Effect)
+    return Named(effect.name, effect.summary, trial.candidate.targets, values, intervals, units, trial.closed, runner, alike)
+
+
+def _different(one: Trial, other: Trial) -> bool:
+    """Whether two candidates are different answers: another effect, or the same on joints that do not overlap."""
+    return one.candidate.effect != other.candidate.effect or not set(one.candidate.targets) & set(other.candidate.targets)
+
+
+def numbers_of(
+    problem: Problem, fit: Fit, candidate: Candidate
+) -> tuple[dict[str, float], dict[str, tuple[float, float]], dict[str, str]]:
+    """An effect's fitted quantities, their intervals and units, under their short names."""
+    place = placement(problem, candidate)
+    values, intervals = fit.space.mapping(fit.values), fit.intervals()
+    parameters = place.effect.parameters(problem.robot.model, place.targets)
+    full = {p.name: place.full_name(p.name) for p in parameters}
+    return (
+        {short: values[name] for short, name in full.items()},
+        {short: intervals[name] for short, name in full.items()},
+        {p.name: p.unit for p in parameters},
+    )
+
+
+def off_nominal(problem: Problem, fit: Fit) -> list[Named]:
+    """Nuisance numbers so far from the published ones that they are the finding, where only a few are.
+
+    Where most are off, the model was simply not calibrated, and no single one is news.
+    """
+    found, count = [], 0
+    for place in fit.objective.simulated.placements:
+        if place.effect.name not in problem.settings.nuisance:
+            continue
+        values, intervals, units = numbers_of(problem, fit, Candidate(place.effect.name, place.targets))
+        for parameter in place.effect.parameters(problem.robot.model, place.targets):
+            count += 1
+            low, high = intervals[parameter.name]
+            nominal = parameter.start
+            yardstick = 0.02 * (parameter.high - parameter.low) if parameter.scale == "linear" else 0.0
+            if low > OFF_NOMINAL * nominal + yardstick or high < nominal / OFF_NOMINAL - yardstick:
+                found.append(
+                    Named(place.effect.name, place.effect.summary, place.targets, values, intervals, units, float("nan"), None, ())
+                )
+    return found if len(found) <= max(2, count // 4) else []
+
+
+def needs_remainder(problem: Problem, rounds: Sequence[Round], trials: Sequence[Trial]) -> bool:
+    """Whether a real gap is left that the named effects close too little of."""
+    start, end = rounds[0].errors.mean(), (trials[-1].errors if trials else rounds[0].errors).mean()
+    floor = problem.floor**2
+    if np.sqrt(start) <= REAL_GAP * problem.floor or np.sqrt(end) <= REAL_GAP * problem.floor:
+        return False
+    return float((start - end) / (start - floor)) < 0.9
+
+
+def judge(
+    problem: Problem, rounds: Sequence[Round], trials: Sequence[Trial], effects: Sequence[Named], remainder: Remainder | None
+) -> Verdict:
+    """The verdict that the evidence allows."""
+    if not trials:
+        if effects:
+            return "named"
+        gap = np.sqrt(rounds[0].errors.mean()) > REAL_GAP * problem.floor
+        return "unnamed" if gap and remainder is not None and remainder.real else "none"
+    start, end = float(rounds[0].errors.mean()), float(trials[-1].errors.mean())
+    closed = (start - end) / max(start - problem.floor**2, 1e-18)
+    if remainder is not None and remainder.real:
+        left = float(remainder.errors.mean())
+        halves = left - problem.floor**2 < 0.5 * (end - problem.floor**2)
+        if closed < ENOUGH or halves:
+            return "unnamed"
+    return "cannot_tell" if any(one.confusable_with for one in effects) else "named"
+
+
+def sentence(verdict: Verdict, effects: Sequence[Named], remainder: Remainder | None) -> str:
+    """The outcome in words that a roboticist uses."""
+    if verdict == "none":
+        return "Your simulator agrees with these recordings down to their noise; nothing is missing that they could show."
+    if verdict == "unnamed":
+        what = f" It behaves like {remainder.formula} on {remainder.joint}." if remainder else ""
+        return "Something real is missing that no effect in the library explains." + what
+    parts = [f"{one.summary}{' on ' + _and(one.targets) if one.targets else ''}" for one in effects]
+    if verdict == "cannot_tell":
+        doubtful = [one for one in effects if one.confusable_with]
+        names = "; ".join(f"{one.name} may be {' or '.join(one.confusable_with)}" for one in doubtful)
+        return f"Your simulator lacks {_and(parts)}, but these motions cannot tell it from others: {names}. Record the suggested motion."
+    return f"Your simulator lacks {_and(parts)}."
+
+
+def _and(words: Sequence[str]) -> str:
+    return words[0] if len(words) == 1 else ", ".join(words[:-1]) + " and " + words[-1]
