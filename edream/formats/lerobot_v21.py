@@ -84,7 +84,7 @@ def _recording(info: lerobot.Info, name: str, row: dict[str, Any], options: Read
         return recording
     videos: dict[str, Video] = lerobot.image_videos(info, file, index, recording.times)
     for key in info.cameras("video"):
-        video = inside(info.root, fill_template(info.raw.get("video_path"), place | {"video_key": key}, named_by), named_by)
+        video = inside(info.root, fill_template(info.raw.get("video_path"), {**place, "video_key": key}, named_by), named_by)
         videos[lerobot.camera_name(key)] = lerobot.file_video(video, 0.0, recording.times, info.fps)
     return lerobot.with_videos(recording, videos)
 

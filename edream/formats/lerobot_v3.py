@@ -150,10 +150,11 @@ def _videos(info: lerobot.Info, one: _Listed, times: np.ndarray) -> dict[str, le
     named_by = str(info.root / "meta/info.json")
     for key in info.cameras("video"):
         start = one.row.get(f"videos/{key}/from_timestamp")
-        place = {part: one.row.get(f"videos/{key}/{part}") for part in ("chunk_index", "file_index")}
-        if not isinstance(start, int | float) or not np.isfinite(start) or not all(isinstance(v, int) for v in place.values()):
+        stored = {part: one.row.get(f"videos/{key}/{part}") for part in ("chunk_index", "file_index")}
+        place = {part: value for part, value in stored.items() if isinstance(value, int)}
+        if not isinstance(start, int | float) or not np.isfinite(start) or len(place) < 2:
             raise EdreamError(f"meta/episodes does not say where the video of camera {key!r} lies in episode {one.index}.")
-        relative = fill_template(info.raw.get("video_path"), place | {"video_key": key}, named_by)
+        relative = fill_template(info.raw.get("video_path"), {**place, "video_key": key}, named_by)
         file = inside(info.root, relative, named_by)
         videos[lerobot.camera_name(key)] = lerobot.file_video(file, float(start), times, info.fps)
     return videos

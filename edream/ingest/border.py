@@ -75,7 +75,7 @@ def inside(root: Path, relative: str, named_by: str) -> Path:
     return target
 
 
-def fill_template(template: str, values: Mapping[str, int | str], named_by: str) -> str:
+def fill_template(template: object, values: Mapping[str, int | str], named_by: str) -> str:
     """Fill `{name}` and `{name:03d}` in a path template that came with the data.
 
     `str.format` would let the data ask for attributes and for gigabytes of padding.

@@ -3,7 +3,7 @@
 import base64
 import binascii
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,7 @@ from edream.ingest.signals import JointTopic, Signals
 from edream.ingest.video import EncodedFrames, image_size
 
 JOINTS = ("foxglove.JointStates", "JointStates")
+JOINT_FIELDS = ("position", "velocity", "effort")
 IMAGE, CALIBRATION = ("foxglove.CompressedImage", "CompressedImage"), ("foxglove.CameraCalibration", "CameraCalibration")
 DECODE_ERRORS = (McapError, DecodeError, ValueError, TypeError, LookupError, AttributeError, RecursionError, binascii.Error)
 
@@ -92,10 +93,8 @@ def _add(signals: Signals, cameras: dict[str, Camera], message: Stamped, decoder
     if kind in JOINTS:
         body = decoders.decode(message)
         stamp = (header_time(get(body, "timestamp")), message.publish_time, message.log_time)
-        joints = list(get(body, "joints") or ())
-        values = tuple([number(joint, what) for joint in joints if has(joint, what)] for what in ("position", "velocity", "effort"))
-        names = tuple(str(get(joint, "name")) for joint in joints)
-        signals.joints.setdefault(message.topic, JointTopic()).add(stamp, names, values)  # type: ignore[arg-type]
+        names, values = joint_values(body)
+        signals.joints.setdefault(message.topic, JointTopic()).add(stamp, names, values)
     elif kind in IMAGE:
         body = decoders.decode(message)
         camera = cameras.setdefault(camera_name(message.topic), Camera())
@@ -121,24 +120,28 @@ def _add(signals: Signals, cameras: dict[str, Camera], message: Stamped, decoder
 
 def get(body: Any, name: str) -> Any:
     """A field of a protobuf message or of a JSON object."""
-    return body.get(name) if isinstance(body, Mapping) else getattr(body, name)
+    return body.get(name) if isinstance(body, dict) else getattr(body, name)
 
 
-def has(body: Any, name: str) -> bool:
-    """Whether an optional field is set."""
-    return body.get(name) is not None if isinstance(body, Mapping) else body.HasField(name)
-
-
-def number(body: Any, name: str) -> float:
-    """A numeric field."""
-    return float(get(body, name))
+def joint_values(body: Any) -> tuple[tuple[str, ...], tuple[list[float], list[float], list[float]]]:
+    """Joint names of a JointStates message, and those of their positions, velocities and efforts that are set."""
+    if isinstance(body, dict):
+        joints = list(body.get("joints") or ())
+        rows = [[float(joint[what]) for joint in joints if joint.get(what) is not None] for what in JOINT_FIELDS]
+        return tuple(str(joint["name"]) for joint in joints), (rows[0], rows[1], rows[2])
+    # every row of every recording passes here: attributes spelled out are three times as fast as getattr
+    joints = body.joints
+    position = [joint.position for joint in joints if joint.HasField("position")]
+    velocity = [joint.velocity for joint in joints if joint.HasField("velocity")]
+    effort = [joint.effort for joint in joints if joint.HasField("effort")]
+    return tuple(joint.name for joint in joints), (position, velocity, effort)
 
 
 def header_time(stamp: Any) -> int:
     """A Foxglove timestamp [ns]: protobuf `seconds`/`nanos`, JSON `sec`/`nsec`; 0 where there is none."""
     if stamp is None:
         return 0
-    if isinstance(stamp, Mapping):
+    if isinstance(stamp, dict):
         return int(stamp.get("sec", 0)) * 1_000_000_000 + int(stamp.get("nsec", stamp.get("nanosec", 0)))
     return int(stamp.seconds) * 1_000_000_000 + int(stamp.nanos)
 

@@ -43,19 +43,21 @@ def entry(group: h5py.Group, name: str) -> h5py.Group | h5py.Dataset | None:
     Raises:
         EdreamError: it is a soft or external link, or keeps its data in other files.
     """
+    found: h5py.Group | h5py.Dataset = group
     for part in name.strip("/").split("/"):
-        if not isinstance(group, h5py.Group) or part not in group.keys():  # noqa: SIM118 (`in group` follows links)
+        if not isinstance(found, h5py.Group) or part not in found.keys():  # noqa: SIM118 (`in group` follows links)
             return None
-        link = group.get(part, getlink=True)
+        link = found.get(part, getlink=True)
         if not isinstance(link, h5py.HardLink):
             target = getattr(link, "filename", None) or getattr(link, "path", "?")
-            raise EdreamError(
-                f"{group.file.filename}: {group.name.rstrip('/')}/{part} is a link to {target!r}; links are not followed."
-            )
-        group = group[part]
-    if isinstance(group, h5py.Dataset) and (group.external or group.is_virtual):
-        raise EdreamError(f"{group.file.filename}: {group.name} keeps its data in other files; they are not opened.")
-    return group
+            raise EdreamError(f"{group.file.filename}: {name!r} is, or lies behind, a link to {target!r}; links are not followed.")
+        member = found[part]
+        if isinstance(member, h5py.Datatype):
+            return None
+        found = member
+    if isinstance(found, h5py.Dataset) and (found.external or found.is_virtual):
+        raise EdreamError(f"{group.file.filename}: {name!r} keeps its data in other files; they are not opened.")
+    return found
 
 
 def dataset(group: h5py.Group, name: str, kinds: str = "fiub") -> h5py.Dataset | None:

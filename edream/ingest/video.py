@@ -7,6 +7,7 @@ from pathlib import Path
 import av
 import cv2
 import numpy as np
+from av.error import FFmpegError
 from jaxtyping import UInt8
 
 from edream.core.errors import EdreamError, unknown_name
@@ -126,7 +127,7 @@ class VideoSegment:
                 stream = container.streams.video[0]
                 stream.thread_type = "SLICE"
                 first = self.start - 0.5 / self.fps
-                if self.start > 0:
+                if self.start > 0 and stream.time_base:
                     container.seek(max(0, int(first / stream.time_base)), stream=stream, backward=True)
                 for frame in container.decode(stream):
                     if found == self.count:
@@ -135,7 +136,7 @@ class VideoSegment:
                         continue
                     found += 1
                     yield frame.to_ndarray(format="rgb24")
-        except (av.FFmpegError, OSError, ValueError) as error:
+        except (FFmpegError, OSError, ValueError) as error:
             raise EdreamError(f"Video {self.file} is damaged after {found} of {self.count} frames: {one_line(error)}.") from error
         if found < self.count:
             raise EdreamError(f"Video {self.file} ends after {found} frames from {self.start:.3f} s on; expected {self.count}.")
@@ -164,7 +165,7 @@ def read_header(file: Path) -> VideoHeader:
             stream = container.streams.video[0]
             height, width = stream.height, stream.width
             duration = float(stream.duration * stream.time_base) if stream.duration and stream.time_base else None
-    except (av.FFmpegError, OSError, ValueError, LookupError) as error:
+    except (FFmpegError, OSError, ValueError, LookupError) as error:
         raise EdreamError(f"Video {file} cannot be opened: {one_line(error)}.") from error
     if not (height > 0 and width > 0 and height * width <= MAX_PIXELS):
         raise EdreamError(f"Video {file} declares images of {height} x {width} pixels; expected 1 to {MAX_PIXELS} pixels.")

@@ -127,7 +127,10 @@ def test_conditions_come_along_and_unknown_names_are_reported(tmp_path: Path) ->
     assert isinstance(found[1], Malformed) and found[1].name == "wafe"
 
 
-@pytest.mark.parametrize("text", ["name,gain\nwave,1\n", "recording,gain\nwave,x\n", "recording,gain\nwave\n", "recording,gain\nwave,1\nwave,2\n"])
+WRONG_CONDITIONS = ("name,gain\nwave,1\n", "recording,gain\nwave,x\n", "recording,gain\nwave\n", "recording,gain\nwave,1\nwave,2\n")
+
+
+@pytest.mark.parametrize("text", WRONG_CONDITIONS)
 def test_wrong_conditions_are_refused(tmp_path: Path, text: str) -> None:
     path = make_sample("table", tmp_path)
     (path / "conditions.csv").write_text(text)
@@ -150,19 +153,22 @@ def test_nothing_selected_says_what_exists(tmp_path: Path) -> None:
 
 def test_what_no_format_recognises_lists_what_each_looks_for(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("hello")
-    with pytest.raises(EdreamError, match="No format recognises .*lerobot_v3: .*rlds: "):
+    with pytest.raises(EdreamError, match=r"No format recognises .*lerobot_v3: .*rlds: "):
         list(read_recordings(tmp_path))
     (tmp_path / "big.mcap").write_text("version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n")
     with pytest.raises(EdreamError, match="Git LFS pointer"):
         list(read_recordings(tmp_path))
 
 
-@pytest.mark.parametrize("template", ["../../{chunk_index}.parquet", "/etc/{chunk_index}", "{chunk_index:99999999d}", "{chunk_index.__class__}"])
+HOSTILE_PATHS = ("../../{chunk_index}.parquet", "/etc/{chunk_index}", "{chunk_index:99999999d}", "{chunk_index.__class__}")
+
+
+@pytest.mark.parametrize("template", HOSTILE_PATHS)
 def test_a_data_path_cannot_lead_out_or_run_wild(tmp_path: Path, template: str) -> None:
     path = make_sample("lerobot_v3", tmp_path)
     info = json.loads((path / "meta/info.json").read_text())
     (path / "meta/info.json").write_text(json.dumps(info | {"data_path": template}))
-    with pytest.raises(EdreamError, match="lies outside|path template"):
+    with pytest.raises(EdreamError, match=r"lies outside|path template"):
         list(read_recordings(path))
 
 
@@ -204,7 +210,8 @@ def test_a_falling_clock_or_nan_is_named(tmp_path: Path, column: str, value: flo
     table = pq.read_table(file)
     rows = table.column(column).to_pylist()
     rows[5] = [value, value] if isinstance(rows[5], list) else value
-    pq.write_table(table.set_column(table.schema.get_field_index(column), column, pa.array(rows, table.schema.field(column).type)), file)
+    place = table.schema.get_field_index(column)
+    pq.write_table(table.set_column(place, column, pa.array(rows, table.schema.field(column).type)), file)
     (found,) = read_recordings(path)
     assert isinstance(found, Malformed) and said in found.reason and "row 5" in found.reason
 
