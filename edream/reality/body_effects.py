@@ -1,5 +1,7 @@
 """Hidden effects of masses, springs and shafts."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from edream.reality.plant import Moment, Plant, Term
@@ -17,7 +19,7 @@ class Payload(Term):
 
     def plant(self, plant: Plant) -> Plant:
         centre = np.array([self.values[axis] for axis in "xyz"])
-        return plant.with_values(tree=plant.tree.with_mass(self.other, self.values["mass"], centre))
+        return replace(plant, tree=plant.tree.with_mass(self.other, self.values["mass"], centre))
 
 
 class GravityTilt(Term):

@@ -5,7 +5,7 @@ import hashlib
 import json
 import zlib
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
@@ -48,14 +48,14 @@ class Truth:
 
     robot: str
     effects: tuple[Hidden, ...] = ()
-    nuisance: Mapping[str, Mapping[str, float]] | None = None
+    nuisance: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     sees: Literal["link", "motor"] = "link"
 
     def plant(self, model: mujoco.MjModel) -> Plant:
         """The robot with its true nuisance parameters and none of its hidden effects."""
         plant = replace(nominal_plant(model), sees=self.sees)
         arrays = {}
-        for quantity, by_joint in (self.nuisance or {}).items():
+        for quantity, by_joint in self.nuisance.items():
             if quantity not in NUISANCE:
                 raise unknown_name("nuisance parameter", quantity, NUISANCE)
             arrays[quantity] = np.array([by_joint.get(j, v) for j, v in zip(plant.joints, getattr(plant, quantity), strict=True)])
