@@ -38,6 +38,7 @@ def compose(overrides: Sequence[str] = (), conf: Path | None = None) -> DictConf
     from hydra import initialize_config_dir
     from hydra.core.global_hydra import GlobalHydra
     from hydra.errors import HydraException
+    from yaml import YAMLError
 
     if conf is not None and not Path(conf).is_dir():
         raise EdreamError(f"There is no config folder {conf}; expected a folder with files such as robot/mine.yaml.")
@@ -50,7 +51,7 @@ def compose(overrides: Sequence[str] = (), conf: Path | None = None) -> DictConf
             config = hydra_compose("config", [*search, *ordered])
             OmegaConf.resolve(config)
             return config
-    except (HydraException, OmegaConfBaseException) as error:
+    except (HydraException, OmegaConfBaseException, YAMLError, ValueError) as error:  # Hydra raises ValueError for robot=3
         raise _mended(error, ordered, search) from error
     finally:
         GlobalHydra.instance().clear()
@@ -71,12 +72,12 @@ def read(config: DictConfig, kind: type[T], where: str = "") -> T:
     values = {}
     for field in fields(kind):  # type: ignore[arg-type]
         name = f"{where}.{field.name}" if where else field.name
+        if OmegaConf.is_missing(config, field.name):
+            raise EdreamError(f"{name!r} is not set; it is needed: give {name}=VALUE on the command line.")
         if field.name not in config:
             if field.default is MISSING and field.default_factory is MISSING:
                 raise EdreamError(f"The config has no {name!r}, which is needed: give {name}=VALUE.")
             continue
-        if OmegaConf.is_missing(config, field.name):
-            raise EdreamError(f"{name!r} is not set; it is needed: give {name}=VALUE on the command line.")
         values[field.name] = _convert(config[field.name], hints[field.name], name)
     return kind(**values)
 

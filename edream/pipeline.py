@@ -10,19 +10,19 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from datetime import UTC, datetime
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from omegaconf import DictConfig
 
-from edream import catalog, config, executor, kinds
+from edream import __version__, catalog, config, executor, kinds
 from edream.core.errors import EdreamError
 from edream.core.stage import Source, Stage
 from edream.store import Store, StoredArtifact, writing
 from edream.work import StageWork
 
-PACKAGES = ("edream", "numpy", "mujoco", "torch", "pyarrow", "scipy", "mcap", "safetensors")
+PACKAGES = ("numpy", "mujoco", "torch", "pyarrow", "scipy", "mcap", "safetensors")
 
 
 @dataclass(frozen=True)
@@ -55,10 +55,9 @@ def make(name: str, cfg: DictConfig) -> StoredArtifact:
     Raises:
         EdreamError: a setting or an input is wrong, the disk is full, or an artifact that is needed is corrupt.
     """
-    store = open_store(cfg)
     plumbing = config.read(cfg, Plumbing)
     places = executor.create(plumbing.executor.kind, plumbing.executor.workers)
-    return _make(name, cfg, store, places, {})
+    return _Maker(cfg, Store(plumbing.runs), places, {}).make(name)
 
 
 def make_run(command: str, names: Sequence[str], cfg: DictConfig) -> tuple[dict[str, StoredArtifact], Path]:
@@ -141,33 +140,27 @@ class Step:
 def plan(name: str, cfg: DictConfig) -> list[Step]:
     """What `make` would find and do, in order, without doing it."""
     store = open_store(cfg)
+    newest = {artifact.stage: artifact for artifact in store.artifacts()}
     steps: dict[str, Step] = {}
-    _plan(name, cfg, store, {artifact.stage: artifact for artifact in store.artifacts()}, steps)
-    return list(steps.values())
 
-
-def _plan(name: str, cfg: DictConfig, store: Store, newest: Mapping[str, StoredArtifact], steps: dict[str, Step]) -> StoredArtifact | None:
-    entry = stage(name)
-    settings = config.read(cfg, entry.config)
-    inputs = {}
-    for need in entry.needs_for(settings):
-        made = _plan(need, cfg, store, newest, steps)
-        if made is None:
-            steps[name] = Step(name, None, f"waits for {need}")
-        else:
-            inputs[need] = made
-    if name in steps:
-        return store.find(name, steps[name].key or "") if steps[name].key else None
-    key_fields = _key_fields(entry, settings, inputs)
-    key = _key(key_fields)
-    found = store.find(name, key)
-    if found is not None:
-        steps[name] = Step(name, key, "made")
+    def look(name: str) -> StoredArtifact | None:
+        entry = stage(name)
+        settings = config.read(cfg, entry.config)
+        inputs = {need: look(need) for need in entry.needs_for(settings)}
+        missing = [need for need, artifact in inputs.items() if artifact is None]
+        if missing:
+            steps[name] = Step(name, None, f"waits for {missing[0]}")
+            return None
+        key_fields = _key_fields(entry, settings, {need: artifact for need, artifact in inputs.items() if artifact is not None})
+        key = _key(key_fields)
+        found = store.find(name, key)
+        changes = differences(newest[name].manifest["fields"], key_fields) if found is None and name in newest else ()
+        state = "made" if found else "partly made" if store.work(name, key).is_dir() else "not made"
+        steps[name] = Step(name, key, state, tuple(changes))
         return found
-    old = newest.get(name)
-    changes = tuple(differences(old.manifest["fields"], key_fields)) if old is not None else ()
-    steps[name] = Step(name, key, "partly made" if store.work(name, key).is_dir() else "not made", changes)
-    return None
+
+    look(name)
+    return list(steps.values())
 
 
 def differences(old: Any, new: Any, where: str = "") -> Iterator[str]:
@@ -179,44 +172,38 @@ def differences(old: Any, new: Any, where: str = "") -> Iterator[str]:
         yield f"{where}: {old} -> {new}"
 
 
-def _make(name: str, cfg: DictConfig, store: Store, places: executor.Executor, made: dict[str, StoredArtifact]) -> StoredArtifact:
-    if name in made:
-        return made[name]
-    entry = stage(name)
-    settings = config.read(cfg, entry.config)
-    inputs = {need: _make(need, cfg, store, places, made) for need in entry.needs_for(settings)}
-    key_fields = _key_fields(entry, settings, inputs)
-    key = _key(key_fields)
-    found = store.find(name, key)
-    if found is None:
-        with store.session(), store.lock(name, key, lambda: _say(f"{name}: another process is making this; waiting for it")):
-            found = store.find(name, key) or _run(entry, settings, inputs, key_fields, store, places)
-    made[name] = found
-    return found
+@dataclass(frozen=True)
+class _Maker:
+    cfg: DictConfig
+    store: Store
+    places: executor.Executor
+    made: dict[str, StoredArtifact]
 
+    def make(self, name: str) -> StoredArtifact:
+        if name in self.made:
+            return self.made[name]
+        entry = stage(name)
+        settings = config.read(self.cfg, entry.config)
+        inputs = {need: self.make(need) for need in entry.needs_for(settings)}
+        key_fields = _key_fields(entry, settings, inputs)
+        key = _key(key_fields)
+        found = self.store.find(name, key)
+        if found is None:
+            with self.store.session(), self.store.lock(name, key, lambda: _say(f"{name}: another process makes this; waiting for it")):
+                found = self.store.find(name, key) or self.run(entry, settings, inputs, key_fields)
+        self.made[name] = found
+        return found
 
-def _run(
-    entry: Stage,
-    settings: Any,
-    inputs: Mapping[str, StoredArtifact],
-    key_fields: Mapping[str, Any],
-    store: Store,
-    places: executor.Executor,
-) -> StoredArtifact:
-    key = _key(key_fields)
-    if sys.stderr.isatty():
-        _say(f"{entry.name} ...")
-    started, clock = datetime.now(UTC), time.perf_counter()
-    with writing(store.root):
-        bundle = entry.run(inputs, settings, StageWork(store, entry.name, key, places))
-    manifest = {
-        "stage": entry.name,
-        "key": key,
-        "fields": key_fields,
-        "parents": {need: artifact.key for need, artifact in inputs.items()},
-        "made": _made(started, time.perf_counter() - clock),
-    }
-    return store.publish(manifest, bundle)
+    def run(self, entry: Stage, settings: Any, inputs: Mapping[str, StoredArtifact], key_fields: Mapping[str, Any]) -> StoredArtifact:
+        key = _key(key_fields)
+        if sys.stderr.isatty():
+            _say(f"{entry.name} ...")
+        started, clock = datetime.now(UTC), time.perf_counter()
+        with writing(self.store.root):
+            bundle = entry.run(inputs, settings, StageWork(self.store, entry.name, key, self.places))
+        parents = {need: artifact.key for need, artifact in inputs.items()}
+        about = {"fields": key_fields, "parents": parents, "made": _made(started, time.perf_counter() - clock)}
+        return self.store.publish({"stage": entry.name, "key": key, **about}, bundle)
 
 
 def _key_fields(entry: Stage, settings: Any, inputs: Mapping[str, StoredArtifact]) -> dict[str, Any]:
@@ -287,16 +274,9 @@ def _made(started: datetime, seconds: float) -> dict[str, Any]:
         "seconds": round(seconds, 3),
         "git": _commit(),
         "argv": [Path(sys.argv[0]).name, *sys.argv[1:]],
-        "versions": {package: found for package in PACKAGES if (found := _version(package))},
+        "versions": {"edream": __version__} | {package: version(package) for package in PACKAGES},
         "machine": {"system": platform.platform(), "python": platform.python_version(), "cores": executor.cores()},
     }
-
-
-def _version(package: str) -> str | None:
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return None
 
 
 def _commit() -> str | None:

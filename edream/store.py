@@ -260,19 +260,14 @@ def read_checked(path: Path) -> dict[str, Any]:
     return parsed
 
 
-REASONS = {
+FULL = {
     errno.ENOSPC: "the disk is full",
     errno.EDQUOT: "your disk quota is used up",
     errno.EFBIG: "the file size limit was reached",
     errno.EROFS: "it lies on a read-only disk",
 }
-REASONS_THERE = {
-    errno.EACCES: "you may not write there",
-    errno.EPERM: "you may not write there",
-    errno.ENOTDIR: "a part of that path is a file, not a folder",
-    errno.EEXIST: "a part of that path is a file, not a folder",
-    errno.ENOENT: "no folder can be made there",
-}
+REFUSED = {errno.EACCES: "you may not write there", errno.EPERM: "you may not write there"}
+NO_FOLDER = dict.fromkeys((errno.ENOTDIR, errno.EEXIST, errno.ENOENT), "no folder can be made there")
 
 
 @contextmanager
@@ -283,7 +278,7 @@ def writing(where: Path) -> Iterator[None]:
     except OSError as error:
         file = str(error.filename or "")
         there = file and (file.startswith(str(where)) or str(where).startswith(file))
-        reason = REASONS.get(error.errno or 0) or (REASONS_THERE.get(error.errno or 0) if there else None)
+        reason = (FULL | REFUSED | NO_FOLDER if there else FULL).get(error.errno or 0)
         if reason is None:
             raise
         raise EdreamError(

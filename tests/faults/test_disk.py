@@ -98,7 +98,7 @@ def test_a_folder_that_may_not_be_written_gives_one_sentence(tmp_path) -> None:
 
 def test_runs_below_a_file_gives_one_sentence(tmp_path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(EdreamError, match="not a folder"):
+    with pytest.raises(EdreamError, match="no folder can be made there"):
         make(tmp_path / "file" / "runs")
 
 

@@ -1,0 +1,83 @@
+import json
+import subprocess
+import sys
+import time
+
+import pytest
+
+from edream import cli
+
+PROGRAM = [sys.executable, "-c", "import sys; sys.argv[0] = 'edream'; from edream.cli import main; main()"]
+
+
+def edream(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([*PROGRAM, *arguments], capture_output=True, text=True, timeout=120)
+
+
+def test_help_answers_at_once_with_examples() -> None:
+    edream("--help")
+    fastest, said = 9.0, ""
+    for _ in range(8):
+        begun = time.perf_counter()
+        said = edream("--help").stdout
+        fastest = min(fastest, time.perf_counter() - begun)
+    assert fastest < 0.3
+    assert "Examples" in said and "edream ingest" in said
+
+
+def test_help_imports_no_heavy_library() -> None:
+    code = "import sys; from typer.testing import CliRunner; from edream.cli import app; CliRunner().invoke(app, ['--help'])"
+    heavy = "{'torch', 'mujoco', 'numpy', 'hydra', 'pyarrow', 'scipy'}"
+    loaded = subprocess.run([sys.executable, "-c", f"{code}; print({heavy} & set(sys.modules))"], capture_output=True, text=True, check=True)
+    assert loaded.stdout.strip() == "set()"
+
+
+@pytest.mark.parametrize("command", [command.callback.__name__ for command in cli.app.registered_commands])
+def test_every_command_shows_an_example(command) -> None:
+    from typer.testing import CliRunner
+
+    said = CliRunner().invoke(cli.app, [command, "--help"], env={"COLUMNS": "200"}).output
+    assert f"edream {command}" in said
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["ingest", "robto=so101"], "Did you mean 'robot'"),
+        (["ingest", "robot=arm6"], "'data' is not set"),
+        (["ingest", "robot=arm6", "data=no/such/folder"], "There is nothing at no/such/folder"),
+        (["explain", "lerobot_v33"], "Did you mean 'lerobot_v3'"),
+        (["verify", "runs=no/such/folder"], "There is no folder no/such/folder"),
+        (["ingest", "robot.mjcf=none.xml", "data=."], "There is no robot model at none.xml"),
+        (["status", "--conf", "no/such/folder"], "There is no config folder"),
+    ],
+)
+def test_a_users_mistake_is_one_sentence_and_exit_code_2(arguments, said) -> None:
+    done = edream(*arguments)
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert done.stderr.startswith("edream: ") and said in done.stderr
+    assert "Traceback" not in done.stderr and len(done.stderr.strip().splitlines()) == 1
+
+
+def test_a_mistyped_option_is_exit_code_2() -> None:
+    done = edream("status", "--jsn")
+    assert done.returncode == 2 and "No such option" in done.stderr
+
+
+def test_version_is_the_packages() -> None:
+    from edream import __version__
+
+    assert edream("--version").stdout.strip() == f"edream {__version__}"
+
+
+def test_json_is_one_object_and_nothing_else(tmp_path) -> None:
+    done = edream("status", f"runs={tmp_path}", "--json")
+    assert json.loads(done.stdout) == {"runs": {}, "artifacts": []}
+    assert done.stderr == ""
+
+
+def test_explain_prints_the_docstring_of_an_entry() -> None:
+    said = json.loads(edream("explain", "ingest", "--json").stdout)
+    assert said["entries"][0]["catalog"] == "stages"
+    assert "MCAP" in said["entries"][0]["text"]

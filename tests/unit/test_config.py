@@ -1,0 +1,103 @@
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import pytest
+from omegaconf import OmegaConf
+
+from edream import config
+from edream.core.errors import EdreamError
+
+
+@dataclass(frozen=True)
+class Inner:
+    rate: float
+    kind: Literal["adam", "sgd"] = "adam"
+
+
+@dataclass(frozen=True)
+class Settings:
+    steps: int
+    inner: Inner
+    model: Path | None = None
+    names: tuple[str, ...] = ()
+    box: tuple[float, float] = (0.0, 1.0)
+    limits: Mapping[str, float] = field(default_factory=dict)
+
+
+GOOD = {"steps": 3, "inner": {"rate": 1}, "names": ["a", "b"], "box": [1, 2.5], "limits": {"x": 2}, "model": "m.xml", "unread": 1}
+
+
+def test_a_config_becomes_a_frozen_dataclass_with_the_right_types() -> None:
+    read = config.read(OmegaConf.create(GOOD), Settings)
+    assert read == Settings(3, Inner(1.0), Path("m.xml"), ("a", "b"), (1.0, 2.5), {"x": 2.0})
+    assert type(read.inner.rate) is float
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"steps": "many"}, "steps is 'many'; expected an integer"),
+        ({"steps": 2.5}, "steps is 2.5; expected an integer"),
+        ({"steps": True}, "steps is True; expected an integer"),
+        ({"steps": "???"}, "'steps' is not set"),
+        ({"inner": {"rate": "fast"}}, "inner.rate is 'fast'; expected a number"),
+        ({"inner": {"rate": 1, "kind": "adm"}}, "Did you mean 'adam'"),
+        ({"inner": 3}, "expected a group"),
+        ({"names": "a"}, "expected a list"),
+        ({"names": [1]}, r"names\[0\] is 1; expected text"),
+        ({"box": [1]}, "box has 1 values; expected 2"),
+        ({"limits": {"x": "y"}}, "limits.x is 'y'"),
+        ({"inner": {"rate": float("inf")}}, "finite"),
+        ({"model": 7}, "model is 7; expected a path"),
+    ],
+)
+def test_a_wrong_value_is_one_sentence_that_names_it(change, sentence) -> None:
+    with pytest.raises(EdreamError, match=sentence):
+        config.read(OmegaConf.create({**GOOD, **change}), Settings)
+
+
+def test_the_shipped_config_composes_for_every_robot() -> None:
+    for robot in (config.conf_folder() / "robot").glob("*.yaml"):
+        config.compose([f"robot={robot.stem}"])
+
+
+def test_a_path_may_hold_spaces_commas_quotes_and_equals_signs() -> None:
+    path = "/data/it's, a=b (c)/x y"
+    assert config.compose([f"data={path}"]).data == path
+
+
+def test_small_numbers_are_numbers() -> None:
+    assert config.compose(["ingest.fps=1e-3"]).ingest.fps == 1e-3
+
+
+@pytest.mark.parametrize(
+    ("override", "sentence"),
+    [
+        ("robto=so101", "Did you mean 'robot'"),
+        ("robot=so10", "Did you mean 'so101'"),
+        ("ingest.strct=true", "setting in ingest: 'strct'. Did you mean 'strict'"),
+        ("ingest.mapping.unitt=deg", "setting in ingest.mapping: 'unitt'. Did you mean 'unit'"),
+        ("ingst.strict=true", "Did you mean 'ingest'"),
+        ("data", "Expected NAME=VALUE"),
+        ("=3", "Expected NAME=VALUE"),
+        ("ingest.fps=[1", "Expected NAME=VALUE"),
+    ],
+)
+def test_a_mistyped_override_is_one_sentence_with_the_nearest_name(override, sentence) -> None:
+    with pytest.raises(EdreamError, match=sentence):
+        config.compose([override])
+
+
+def test_a_folder_of_ones_own_adds_choices_and_its_misspelt_keys_are_refused(tmp_path) -> None:
+    from edream import pipeline
+
+    (tmp_path / "robot").mkdir()
+    (tmp_path / "robot" / "mine.yaml").write_text("defaults: [custom]\nname: mine\nmjcf: m.xml\n")
+    good = config.compose(["robot=mine"], tmp_path)
+    assert good.robot.name == "mine"
+    pipeline.check_settings(good)
+    (tmp_path / "robot" / "mine.yaml").write_text("defaults: [custom]\nnmae: mine\n")
+    with pytest.raises(EdreamError, match="'nmae'. Did you mean 'name'"):
+        pipeline.check_settings(config.compose(["robot=mine"], tmp_path))
