@@ -1,0 +1,224 @@
+"""Which effects act where, from the config: the robot whose parameters are searched."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from edream import catalog
+from edream.core.effect import Effect
+from edream.core.errors import EdreamError, unknown_name
+from edream.core.parameters import ParameterSpace
+from edream.sim.mjcf_field import MjcfField
+from edream.sim.robot import RobotModel, load_robot
+from edream.sim.simulation import Placement, Scaling, SimulatedRobot
+
+WEAK_PRIOR = 0.5  # of the unit box; decides only what the data leave open
+
+
+@dataclass(frozen=True)
+class RobotSettings:
+    """The robot to calibrate.
+
+    Attributes:
+        mjcf: its model.
+        name: what reports call it; the file's stem where None.
+        site: end-effector site; the last body where None.
+    """
+
+    mjcf: Path
+    name: str | None = None
+    site: str | None = None
+
+    def load(self) -> RobotModel:
+        """The robot's model.
+
+        Raises:
+            EdreamError: it cannot be read.
+        """
+        return load_robot(self.mjcf, self.name, self.site)
+
+    def content(self) -> bytes:
+        """All that the model says, its includes and assets too, as bytes for a key."""
+        robot = self.load()
+        return b"\0".join([robot.mjcf.encode(), *(name.encode() + b"\0" + data for name, data in sorted(robot.assets.items()))])
+
+
+@dataclass(frozen=True)
+class ScaledBy:
+    """A known condition that multiplies a parameter: value x condition / reference."""
+
+    condition: str
+    reference: float
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What the config says about a parameter in place of the effect's own words.
+
+    Attributes:
+        low, high: the box it is searched in.
+        start: where the search begins; with a spread, the prior's centre.
+        spread: standard deviation of the prior.
+    """
+
+    low: float | None = None
+    high: float | None = None
+    start: float | None = None
+    spread: float | None = None
+
+
+@dataclass(frozen=True)
+class SpaceSettings:
+    """What is unknown, and which motions may teach it.
+
+    Attributes:
+        effects: what acts: an effect (`coulomb`) on every joint, tied by `ties`; an effect at a place (`coulomb@elbow_flex`,
+            several that share their numbers `coulomb@wrist_flex+wrist_roll`); or a model field (`body.mass@gripper`).
+        ties: groups of joints that share their numbers; joints in no group stand alone. [[all]] ties every joint.
+        fixed: parameter -> value that is held.
+        limits: parameter -> bounds and prior. A name without its place, such as `coulomb.torque`, means every place.
+        scaled: quantity, such as `servo_gain.kp` -> the condition that multiplies it.
+        joints: joints that count in the loss; empty for all.
+        holdout: names (or parts before a `*`) of motions that are never tuned on; empty to draw them.
+        holdout_fraction: share of the motions that is drawn where `holdout` is empty.
+        until: seconds of each motion that count, or None for all.
+    """
+
+    effects: tuple[str, ...]
+    ties: tuple[tuple[str, ...], ...] = ()
+    fixed: Mapping[str, float] = field(default_factory=dict)
+    limits: Mapping[str, Limits] = field(default_factory=dict)
+    scaled: Mapping[str, ScaledBy] = field(default_factory=dict)
+    joints: tuple[str, ...] = ()
+    holdout: tuple[str, ...] = ()
+    holdout_fraction: float = 0.2
+    until: float | None = None
+
+
+def simulated_robot(robot: RobotModel, settings: SpaceSettings) -> SimulatedRobot:
+    """The robot with every effect of the config placed on it.
+
+    Raises:
+        EdreamError: an effect, joint, field or parameter does not exist, or bounds contradict each other.
+    """
+    bare = [p for text in settings.effects for p in _placements(robot, text, settings.ties)]
+    placements, met = [], set()
+    for placement in bare:
+        scaled, fixed, bounds = {}, {}, {}
+        for parameter in placement.effect.parameters(robot.model, placement.targets):
+            quantity, full = f"{placement.effect.name}.{parameter.name}", placement.full_name(parameter.name)
+            met |= {quantity, full}
+            for name in (quantity, full):
+                if name in settings.scaled:
+                    scaled[parameter.name] = Scaling(settings.scaled[name].condition, settings.scaled[name].reference)
+                if name in settings.fixed:
+                    fixed[parameter.name] = settings.fixed[name]
+                if name in settings.limits:
+                    bounds[parameter.name] = {k: v for k, v in vars(settings.limits[name]).items() if v is not None}
+            _fit_start(parameter, bounds)
+        placements.append(replace(placement, scaled=scaled, fixed=fixed, bounds=bounds))
+    for name in (*settings.fixed, *settings.limits):
+        if name not in met:
+            raise unknown_name("parameter", name, met)
+    return SimulatedRobot(robot, tuple(with_weak_priors(robot, p) for p in placements))
+
+
+def with_weak_priors(robot: RobotModel, placement: Placement) -> Placement:
+    """Give every parameter that has no prior one as wide as half its box, so that what the data leave open has an answer."""
+    bounds = {name: dict(changes) for name, changes in (placement.bounds or {}).items()}
+    for bare in placement.effect.parameters(robot.model, placement.targets):
+        if bare.name in (placement.fixed or {}):
+            continue
+        changed = replace(bare, **bounds.get(bare.name, {}))
+        if not np.isfinite(changed.spread):
+            width = np.log(changed.high / changed.low) if changed.scale == "log" else changed.high - changed.low
+            bounds.setdefault(bare.name, {})["spread"] = WEAK_PRIOR * float(width)
+    return replace(placement, bounds=bounds)
+
+
+def scored(robot: RobotModel, settings: SpaceSettings) -> np.ndarray:
+    """Which joints count in the loss, (J,) bool.
+
+    Raises:
+        EdreamError: the robot has no such joint.
+    """
+    chosen = [robot.joint_index(name) for name in settings.joints]
+    return np.ones(len(robot.joints), bool) if not chosen else np.isin(np.arange(len(robot.joints)), chosen)
+
+
+def _fit_start(parameter, bounds) -> None:
+    """Bounds that leave the effect's own start outside move the start to the nearest end."""
+    changes = bounds.get(parameter.name)
+    if changes and "start" not in changes:
+        low, high = changes.get("low", parameter.low), changes.get("high", parameter.high)
+        if low < high:
+            changes["start"] = float(np.clip(parameter.start, low, high))
+
+
+def _placements(robot: RobotModel, text: str, ties: Sequence[Sequence[str]]) -> list[Placement]:
+    name, at, place = text.partition("@")
+    targets = tuple(place.split("+")) if at else ()
+    if "." in name:
+        return [Placement(MjcfField.of(robot, name, targets), targets)]
+    effect = catalog.load("effects", name, Effect)
+    if effect.place == "joint":
+        for joint in targets:
+            robot.joint_index(joint)
+        return [Placement(effect, targets)] if targets else [Placement(effect, group) for group in _groups(robot, ties)]
+    if effect.place == "world":
+        if targets:
+            raise EdreamError(f"Effect {name!r} acts on the whole world; it has no place {place!r}.")
+        return [Placement(effect)]
+    if not targets:
+        example = "elbow<-shoulder" if effect.place == "pair" else f"{effect.place}_name"
+        raise EdreamError(f"Effect {name!r} acts on a {effect.place}; say which: {name}@{example}.")
+    _check_targets(robot, effect, targets)
+    return [Placement(effect, targets)]
+
+
+def _check_targets(robot: RobotModel, effect: Effect, targets: Sequence[str]) -> None:
+    if effect.place == "pair":
+        for target in targets:
+            first, arrow, second = target.partition("<-")
+            if not arrow:
+                raise EdreamError(
+                    f"Effect {effect.name!r} acts on a joint because of another; expected 'first<-second', not {target!r}."
+                )
+            robot.joint_index(first)
+            robot.joint_index(second)
+        return
+    model = robot.model
+    known = (
+        [model.body(i).name for i in range(model.nbody)]
+        if effect.place == "body"
+        else [model.geom(i).name for i in range(model.ngeom)]
+    )
+    for target in targets:
+        if target not in known:
+            raise unknown_name(effect.place, target, [one for one in known if one])
+
+
+def _groups(robot: RobotModel, ties: Sequence[Sequence[str]]) -> list[tuple[str, ...]]:
+    if [list(group) for group in ties] == [["all"]]:
+        return [robot.joints]
+    for joint in (joint for group in ties for joint in group):
+        robot.joint_index(joint)
+    tied = [joint for group in ties for joint in group]
+    twice = sorted({joint for joint in tied if tied.count(joint) > 1})
+    if twice:
+        raise EdreamError(f"Joint {twice[0]!r} stands in two groups of ties; expected one at most.")
+    groups = [tuple(group) for group in ties] + [(joint,) for joint in robot.joints if joint not in tied]
+    return sorted(groups, key=lambda group: robot.joints.index(group[0]))
+
+
+def space_of(simulated: SimulatedRobot) -> ParameterSpace:
+    """The parameters that are searched.
+
+    Raises:
+        EdreamError: there is none.
+    """
+    if not len(simulated.space):
+        raise EdreamError("Nothing is left to fit: fit.effects is empty, or fit.fixed holds every parameter.")
+    return simulated.space

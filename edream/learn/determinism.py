@@ -1,0 +1,27 @@
+"""One thread count and deterministic algorithms: what makes torch's bytes repeat."""
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import torch
+
+
+def threads() -> int:
+    """The thread count that keys record: OMP_NUM_THREADS, or every core this process may use."""
+    asked = os.environ.get("OMP_NUM_THREADS", "")
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return int(asked) if asked.isdigit() and int(asked) > 0 else cores
+
+
+@contextmanager
+def deterministic() -> Iterator[None]:
+    """Pin the thread count and forbid algorithms that differ from run to run; both are put back afterwards."""
+    count, strict = torch.get_num_threads(), torch.are_deterministic_algorithms_enabled()
+    torch.set_num_threads(threads())
+    torch.use_deterministic_algorithms(True)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(count)
+        torch.use_deterministic_algorithms(strict)

@@ -1,0 +1,228 @@
+"""Fit: the parameters that make the simulator move as the robot did, what they are worth, and the calibrated model."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+import pyarrow as pa
+
+from edream import catalog
+from edream.calibration.data import sampling_stride, stretches
+from edream.calibration.errors import before_and_after, error_table, perfect_tracking, replayed
+from edream.calibration.moves import check_moves
+from edream.calibration.pose_objective import PoseObjective
+from edream.calibration.problem import FitResult, Fitter, FitterOptions, Problem
+from edream.calibration.settings import RobotSettings, SpaceSettings, scored, simulated_robot, space_of
+from edream.calibration.split import split_motions
+from edream.calibration.surrogate import Surrogate
+from edream.calibration.sweeping import from_tables
+from edream.calibration.windows import Sequences, draw_windows, join, measured_sequences, simulate
+from edream.calibration.worth import Worth, worth_of
+from edream.core.episode import Episode
+from edream.core.stage import Artifact, Bundle, Source, Stage, Work
+from edream.ingest.stored import stored_episodes
+from edream.sim.least_squares import jacobian
+from edream.sim.objective import Objective
+from edream.sim.rollout import whole
+from edream.sim.simulation import SimulatedRobot
+
+MODEL, HOOK = "model.xml", "model_hook.py"
+
+
+@dataclass(frozen=True)
+class FitSettings(SpaceSettings):
+    """How the search runs; see `conf/fit/default.yaml` for each."""
+
+    method: str = "gauss_newton"
+    loss: Literal["joint", "end_effector"] = "joint"
+    rotation: Literal["geodesic", "arcsin"] = "geodesic"
+    stretch: float = 10.0
+    seconds: float = 600.0
+    rate: float = 25.0
+    search: FitterOptions = field(default_factory=FitterOptions)
+
+
+@dataclass(frozen=True)
+class SurrogateChoice:
+    """The surrogate that was learned, for learning it again."""
+
+    kind: str = "mlp"
+    options: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class FitConfig:
+    """What fit reads."""
+
+    robot: RobotSettings
+    fit: FitSettings
+    surrogate: SurrogateChoice
+    seed: int
+
+
+def needs(config: FitConfig) -> tuple[str, ...]:
+    """A sweep and a surrogate only where the method uses them."""
+    entry = catalog.load("fitters", config.fit.method, Fitter)
+    return ("ingest", "sweep", "surrogate") if entry.needs_surrogate else ("ingest",)
+
+
+def run(inputs: Mapping[str, Artifact], config: FitConfig, work: Work) -> Bundle:
+    """Split, search, judge, write."""
+    settings = config.fit
+    train, held = split_motions(list(stored_episodes(inputs["ingest"])), settings, config.seed)
+    simulated = simulated_robot(config.robot.load(), settings)
+    space_of(simulated)
+    counted = scored(simulated.robot, settings)
+    objective = objective_of(simulated, train, settings, counted)
+    check_moves(objective)
+    entry = catalog.load("fitters", settings.method, Fitter)
+    problem = Problem(objective, None, settings.search, work.seed("search"), counted)
+    if entry.needs_surrogate:
+        problem = with_surrogate(problem, inputs, config, train, work)
+    result = work.shards("search", [0], lambda item, rng: _kept(entry.fit(problem)), parallel=False)[0]["found.json"]
+    values = np.array(result["values"])
+    worth = judged(objective, values)
+    error = errors(simulated, values, train, held, counted, settings.until)
+    from edream.sim.emit import emit
+
+    model = emit(simulated, values, train[0].conditions)
+    summary = _summary(worth, error, result, held, settings, inputs)
+    bundle: dict[str, Any] = {MODEL: model.mjcf}
+    if model.hook:
+        bundle[HOOK] = model.hook
+        summary["hook"] = HOOK
+    details = {
+        "correlation": {"names": list(simulated.space.names), "values": worth.correlation},
+        "open_directions": [asdict(direction) for direction in worth.directions],
+        "errors_last_rows": worth.lasting,
+        "history": result["history"],
+        "facts": result["facts"],
+        "heldout": [episode.name for episode in held],
+        "train": [episode.name for episode in train],
+        "model_difference": getattr(model, "difference", None),
+    }
+    replay = overlays(simulated, values, [*train, *held], settings.until)
+    return bundle | {"summary.json": summary, "details.json": details, "replay.parquet": replay}
+
+
+def objective_of(simulated: SimulatedRobot, episodes: Sequence[Episode], settings: FitSettings, counted: np.ndarray) -> Any:
+    """The loss on the training motions: an `Objective`, or a `PoseObjective` which stands in its place."""
+    windows = stretches(episodes, settings.stretch, settings.seconds, settings.until)
+    stride = sampling_stride(episodes, settings.rate)
+    if settings.loss == "end_effector":
+        return PoseObjective(simulated, windows, counted, stride, rotation=settings.rotation)
+    return Objective(simulated, windows, counted, stride)
+
+
+def with_surrogate(
+    problem: Problem, inputs: Mapping[str, Artifact], config: FitConfig, train: Sequence[Episode], work: Work
+) -> Problem:
+    """The problem with the learned surrogate, recorded windows to descend on, and a way to learn it again."""
+    simulated = problem.objective.simulated
+    entry = catalog.load("surrogates", config.surrogate.kind, Surrogate)
+    sweep = from_tables(inputs["sweep"])
+    windows = draw_windows(train, sweep.position.shape[1], 64, np.random.default_rng(work.seed("windows")))
+    problem.measured = measured_sequences(simulated, windows)
+    problem.surrogate = entry.load(inputs["surrogate"]["weights.safetensors"])
+
+    def relearn(unit: np.ndarray) -> tuple[Surrogate, int]:
+        groups = [(unit[i::8], windows[i::8]) for i in range(8)]
+        more = join([simulate(simulated, sets, some) for sets, some in groups if len(sets) and some])
+        near = nearest(sweep, unit)
+        return entry.fit(join([near, more]), config.surrogate.options, work.seed("relearn")), len(more)
+
+    problem.relearn = relearn
+    return problem
+
+
+def nearest(sweep: Sequences, unit: np.ndarray) -> Sequences:
+    """The third of a sweep whose parameters lie nearest to new ones."""
+    distance = ((sweep.unit - unit.mean(axis=0)) ** 2).sum(axis=1)
+    return sweep.take(np.argsort(distance, kind="stable")[: max(1, len(sweep) // 3)])
+
+
+def judged(objective: Any, values: np.ndarray) -> Worth:
+    """Intervals and statuses at the fit."""
+    space = objective.simulated.space
+    unit = space.to_unit(values)
+    residual = objective.residuals(values)[0]
+    return worth_of(objective, values, residual, jacobian(objective, space, unit, residual))
+
+
+def errors(
+    simulated: SimulatedRobot,
+    values: np.ndarray,
+    train: Sequence[Episode],
+    held: Sequence[Episode],
+    counted: np.ndarray,
+    until: float | None,
+) -> dict[str, Any]:
+    """Replay errors before and after, on motions that taught and on motions that did not."""
+    published = SimulatedRobot(simulated.robot, ())
+    table = {}
+    for side, episodes in (("train", train), ("heldout", held)):
+        if episodes:
+            after = error_table(simulated, values, episodes, counted, until)
+            before = error_table(published, np.zeros(0), episodes, counted, until)
+            table[side] = before_and_after(after, before, perfect_tracking(published, episodes, counted, until))
+    return table
+
+
+def overlays(simulated: SimulatedRobot, values: np.ndarray, episodes: Sequence[Episode], until: float | None) -> pa.Table:
+    """Measured, commanded and simulated positions of every motion, for pictures: episode, time, and a list over the joints each."""
+    windows = whole(episodes, until)
+    after, before = replayed(simulated, values, windows), replayed(SimulatedRobot(simulated.robot, ()), np.zeros(0), windows)
+    joints = len(simulated.robot.joints)
+
+    def lists(parts: Sequence[np.ndarray]) -> pa.Array:
+        flat = np.nan_to_num(np.concatenate(parts)).astype(np.float32).ravel()
+        return pa.FixedSizeListArray.from_arrays(pa.array(flat, pa.float32()), joints)
+
+    commanded = [
+        w.episode.command[
+            np.maximum(np.searchsorted(w.episode.command_times, w.episode.times[w.first : w.last + 1] + 1e-9, side="right") - 1, 0)
+        ]
+        for w in windows
+    ]
+    names = pa.array([w.episode.name for w in windows for _ in range(len(w.times))])
+    clock = pa.array(np.concatenate([w.times for w in windows]))
+    columns = {"measured": [w.measured for w in windows], "command": commanded, "before": before, "after": after}
+    return pa.table({"episode": names, "time": clock, **{name: lists(parts) for name, parts in columns.items()}})
+
+
+def _kept(result: FitResult) -> Bundle:
+    return {"found.json": {k: getattr(result, k) for k in ("values", "cost", "history", "simulations", "converged", "facts")}}
+
+
+def _summary(
+    worth: Worth,
+    error: Mapping[str, Any],
+    result: Mapping[str, Any],
+    held: Sequence[Episode],
+    settings: FitSettings,
+    inputs: Mapping[str, Artifact],
+) -> dict[str, Any]:
+    judge = error["heldout" if held else "train"]
+    on = f"on {len(held)} motions it never saw" if held else "on the motions it was fitted to; none was held out"
+    before = judge["before"]["joint_rmse_rad"]
+    swept = inputs["sweep"]["summary.json"]["simulations"] if "sweep" in inputs else 0
+    return {
+        "sentence": f"Your simulator was off by {before:.4f} rad; it is now off by {judge['joint_rmse_rad']:.4f} rad {on}.",
+        "model": MODEL,
+        "method": settings.method,
+        "converged": result["converged"],
+        "simulations": result["simulations"] + swept,
+        "parameters": {name: asdict(estimate) for name, estimate in worth.estimates.items()},
+        "open": [direction.sentence for direction in worth.directions],
+        "error": error,
+    }
+
+
+def sources(config: FitConfig) -> Mapping[str, Source]:
+    return {"robot": config.robot.content()}
+
+
+ENTRY = Stage(
+    name="fit", version=1, needs=needs, config=FitConfig, run=run, sources=sources, numerics=("mujoco", "scipy", "cma", "torch")
+)
