@@ -1,9 +1,17 @@
 # Every target sets itself up: the first call makes .venv and installs edream with pinned packages, later calls use it at once.
 PYTHON ?= python3
 RUN := .venv/bin
+PEER := runs/peers
+NODE := .venv-node
+DEMO := runs/reproduce
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: test check slow clean
+.PHONY: reproduce test slow check check-lerobot check-mcap clean
+
+# From a make-believe robot's recordings to episodes; again, it finds what is there.
+reproduce: .venv/ready
+	test -d $(DEMO)/recorded || $(RUN)/edream record robot=arm6 record.out=$(DEMO)/recorded seed=1
+	$(RUN)/edream ingest robot=arm6 data=$(DEMO)/recorded ingest.fps=50 runs=$(DEMO)/runs
 
 test: .venv/ready
 	$(RUN)/python -m pytest -m "not slow" -q
@@ -25,5 +33,30 @@ check: .venv/ready-dev
 	$(RUN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[test,dev]"
 	touch $@
 
+# Our LeRobot export in the real client, which lives in an environment of its own.
+check-lerobot: .venv/ready .venv-lerobot/ready
+	rm -rf $(PEER)
+	$(RUN)/edream record robot=pan_tilt record.out=$(PEER)/recorded record.motions=3 record.seconds=4
+	$(RUN)/edream export --out $(PEER)/lerobot robot=pan_tilt data=$(PEER)/recorded ingest.fps=50 runs=$(PEER)/runs
+	.venv-lerobot/bin/python tests/peers/check_lerobot.py $(PEER)/lerobot
+
+# Our episode files in the TypeScript implementation of MCAP: streamed and indexed, all checksums on. Needs node and npm.
+check-mcap: .venv/ready $(NODE)/ready
+	rm -rf $(PEER)
+	$(RUN)/edream record robot=pan_tilt record.out=$(PEER)/recorded record.motions=3 record.seconds=4
+	$(RUN)/edream ingest robot=pan_tilt data=$(PEER)/recorded ingest.fps=50 runs=$(PEER)/runs
+	node tests/peers/mcap_check.mjs $(NODE) $(PEER)/runs/ingest/*/episodes/*.mcap
+
+.venv-lerobot/ready:
+	test -x .venv-lerobot/bin/python || $(PYTHON) -m venv .venv-lerobot
+	.venv-lerobot/bin/pip install --quiet --disable-pip-version-check torch==2.13.0 lerobot-dataset==0.4.4
+	.venv-lerobot/bin/pip install --quiet --disable-pip-version-check --no-deps torchvision==0.25.0
+	touch $@
+
+$(NODE)/ready:
+	mkdir -p $(NODE)
+	npm install --silent --prefix $(NODE) @mcap/core@2.2.2 @mcap/support@1.1.0 @mcap/nodejs@1.0.2
+	touch $@
+
 clean:
-	rm -rf .venv
+	rm -rf .venv .venv-lerobot .venv-node runs/peers runs/reproduce
