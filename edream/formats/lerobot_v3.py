@@ -68,8 +68,7 @@ def _episodes(info: lerobot.Info) -> list[_Listed]:
         inside(info.root, str(file.relative_to(info.root)), str(folder))
         parquet = lerobot.open_parquet(file)
         columns = [c for c in parquet.schema_arrow.names if not c.startswith("stats/")]
-        for batch in lerobot.batches(parquet, file, columns, rows=4096):
-            listed += [_listed(row, file) for row in batch.to_pylist()]
+        listed += [_listed(row, file) for row in lerobot.rows_of(parquet, file, columns)]
     twice = {one.index for one in listed}
     if len(twice) != len(listed):
         raise EdreamError(f"{folder} lists an episode twice; expected each episode_index once.")

@@ -172,6 +172,8 @@ def quantum(values: Float[np.ndarray, "T"]) -> float | None:
     if smallest < 20 * noise:
         return None
     close = differences[(differences > 0.6 * smallest) & (differences < 5.5 * smallest)]
+    if not len(close):
+        return None
     step = float(np.median(close / np.round(close / smallest)))
     whole = np.abs(differences / step - np.round(differences / step)) * step < max(0.02 * step, 3 * noise)
     return step if np.mean(whole) > 0.95 else None

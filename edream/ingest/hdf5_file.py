@@ -93,7 +93,8 @@ def table(group: h5py.Group, name: str) -> np.ndarray | None:
         raise EdreamError(
             f"{group.file.filename}: {name!r} has shape {shape}; expected (rows, channels), at most {MAX_ROWS} x {MAX_CHANNELS}."
         )
-    return np.asarray(found[()], dtype=np.float64)
+    with np.errstate(invalid="ignore"):  # a signalling NaN is named later, like any other
+        return np.asarray(found[()], dtype=np.float64)
 
 
 def texts(value: object) -> tuple[str, ...]:

@@ -5,6 +5,7 @@ import json
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -111,19 +112,19 @@ def read_index(folder: Path) -> list[IndexRow]:
     if not file.is_file():
         raise EdreamError(f"There is no {INDEX} in {folder}; run 'edream ingest' first.")
     rows = []
-    for batch in lerobot.batches(lerobot.open_parquet(file), file, SCHEMA.names):
-        for raw in batch.to_pylist():
-            try:
-                conditions = {str(key): float(value) for key, value in json.loads(raw["conditions"]).items()}
-                notes = {str(key): str(value) for key, value in json.loads(raw["notes"]).items()}
-                names = {key: tuple(str(one) for one in raw[key]) for key in ("joints", "cameras")}
-                row = IndexRow(**(raw | names | {"conditions": conditions, "notes": notes}))
-            except (TypeError, ValueError, AttributeError, RecursionError) as error:
-                raise EdreamError(f"{file} is damaged: row {len(rows)} is unreadable ({error}).") from error
-            if PurePosixPath(row.file).name != row.file:
-                raise EdreamError(f"{file} names {row.file!r}; expected a file beside the index.")
-            inside(folder, row.file, str(file))
-            rows.append(row)
+    for raw in lerobot.rows_of(lerobot.open_parquet(file), file, SCHEMA.names):
+        try:
+            conditions = {str(key): float(value) for key, value in json.loads(raw["conditions"]).items()}
+            notes = {str(key): str(value) for key, value in json.loads(raw["notes"]).items()}
+            names = {key: tuple(str(one) for one in raw[key]) for key in ("joints", "cameras")}
+            fields: dict[str, Any] = {**raw, **names, "conditions": conditions, "notes": notes}
+            row = IndexRow(**fields)
+        except (TypeError, ValueError, AttributeError, RecursionError) as error:
+            raise EdreamError(f"{file} is damaged: row {len(rows)} is unreadable ({error}).") from error
+        if PurePosixPath(row.file).name != row.file:
+            raise EdreamError(f"{file} names {row.file!r}; expected a file beside the index.")
+        inside(folder, row.file, str(file))
+        rows.append(row)
     return rows
 
 
