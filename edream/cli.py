@@ -31,7 +31,9 @@ app = typer.Typer(
     """,
 )
 
-Overrides = Annotated[list[str] | None, typer.Argument(metavar="[NAME=VALUE]...", help="Settings, such as robot=so101 or data=PATH.")]
+Overrides = Annotated[
+    list[str] | None, typer.Argument(metavar="[NAME=VALUE]...", help="Settings, such as robot=so101 or data=PATH.")
+]
 Conf = Annotated[Path | None, typer.Option("--conf", metavar="DIR", help="A folder of your own config files, searched first.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
 Runs = Annotated[list[str] | None, typer.Argument(metavar="[runs=DIR]", help="The folder of artifacts, where it is not ./runs.")]
@@ -94,7 +96,9 @@ def replay(
     data: Annotated[Path, typer.Option("--data", metavar="PATH", help="Recordings, as for ingest.")],
     joints: Annotated[str | None, typer.Option("--joints", metavar="A,B", help="Score these joints only.")] = None,
     until: Annotated[float | None, typer.Option("--until", metavar="SECONDS", help="Score the first seconds only.")] = None,
-    hook: Annotated[Path | None, typer.Option("--hook", metavar="H.py", help="Python file with make(model) -> step(model, data).")] = None,
+    hook: Annotated[
+        Path | None, typer.Option("--hook", metavar="H.py", help="Python file with make(model) -> step(model, data).")
+    ] = None,
     overrides: Overrides = None,
     conf: Conf = None,
     json: Json = False,
@@ -180,7 +184,9 @@ def gc(
 
 
 @app.command()
-def explain(name: Annotated[str, typer.Argument(help="An effect, format, fitter, stage or setting, such as coulomb.")], json: Json = False) -> None:
+def explain(
+    name: Annotated[str, typer.Argument(help="An effect, format, fitter, stage or setting, such as coulomb.")], json: Json = False
+) -> None:
     """Explain one thing that edream knows by name.
 
     Example: `edream explain coulomb`

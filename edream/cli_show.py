@@ -51,7 +51,9 @@ def table(values: Mapping[str, Any]) -> None:
     for name, value in values.items():
         if isinstance(value, list | tuple) and value and not any(isinstance(item, Mapping) for item in value):
             short = all(len(_cell(item)) < 30 for item in value)
-            console.print(f"{name:<14} {_cell(value)}" if short else "\n".join([name, *(f"  {_cell(item)}" for item in value)]), markup=False)
+            console.print(
+                f"{name:<14} {_cell(value)}" if short else "\n".join([name, *(f"  {_cell(item)}" for item in value)]), markup=False
+            )
         elif isinstance(value, Mapping | list | tuple) and value:
             rows = _rows(value)
             shown = Table(title=name, title_justify="left", box=None, pad_edge=False)

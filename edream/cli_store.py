@@ -17,7 +17,10 @@ def status(cfg: DictConfig, overrides: Sequence[str], json: bool) -> None:
     artifacts = store.artifacts()
     runs = store.runs()
     found = {
-        "runs": {name: {"command": run["command"], "made": [f"{s}/{key}" for s, key in run["made"].items()]} for name, run in runs.items()},
+        "runs": {
+            name: {"command": run["command"], "made": [f"{s}/{key}" for s, key in run["made"].items()]}
+            for name, run in runs.items()
+        },
         "artifacts": [
             {
                 "artifact": f"{one.stage}/{one.key}",

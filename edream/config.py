@@ -15,7 +15,14 @@ from edream.core.errors import EdreamError, unknown_name
 
 T = TypeVar("T")
 PATHS = frozenset({"data", "runs", "robot.mjcf", "record.out", "replay.hook"})
-EXPECTED: dict[Any, str] = {int: "an integer", float: "a number", str: "text", bool: "true or false", Path: "a path", type(None): "null"}
+EXPECTED: dict[Any, str] = {
+    int: "an integer",
+    float: "a number",
+    str: "text",
+    bool: "true or false",
+    Path: "a path",
+    type(None): "null",
+}
 
 
 def conf_folder() -> Path:
@@ -102,7 +109,7 @@ def _check_group(config: DictConfig, kinds: list[type], shipped: Any, where: str
         hints = get_type_hints(kind)
         for field in fields(kind):
             known.add(field.name)
-            readers.setdefault(field.name, []).extend(t for t in _alternatives(hints[field.name]) if is_dataclass(t))
+            readers.setdefault(field.name, []).extend(filter(is_dataclass, _alternatives(hints[field.name])))
     for key in map(str, config):
         if key not in known:
             raise unknown_name(f"setting in {where or 'the config'}:", key, known)
@@ -131,7 +138,7 @@ def _convert(value: Any, kind: Any, name: str) -> Any:
         if len(inner) != len(value):
             raise EdreamError(f"{name} has {len(value)} values; expected {len(inner)}.")
         return tuple(_convert(item, one, f"{name}[{i}]") for i, (item, one) in enumerate(zip(value, inner, strict=True)))
-    if origin in (dict, Mapping) or origin is not None and isinstance(origin, type) and issubclass(origin, Mapping):
+    if origin in (dict, Mapping) or (origin is not None and isinstance(origin, type) and issubclass(origin, Mapping)):
         if not isinstance(value, DictConfig):
             raise EdreamError(f"{name} is {value!r}; expected names with values: {{name: value}}.")
         return {str(key): _convert(item, get_args(kind)[1], f"{name}.{key}") for key, item in value.items()}
@@ -198,7 +205,8 @@ def _mended(error: Exception, overrides: Sequence[str], search: Sequence[str]) -
 
 def _unknown_setting(name: str, overrides: Sequence[str], search: Sequence[str]) -> EdreamError:
     group, dot, key = name.rpartition(".")
-    chosen = [o for o in overrides if "." not in o.partition("=")[0] and o.partition("=")[0] in _groups() and o.partition("=")[0] != name]
+    pairs = [(override, override.partition("=")[0]) for override in overrides]
+    chosen = [override for override, key in pairs if key in _groups() and key != name]
     default = compose(chosen) if not search else compose(())
     while True:
         inside = OmegaConf.select(default, group) if group else default

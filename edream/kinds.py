@@ -47,7 +47,7 @@ def read(path: Path) -> Any:
     if path.suffix == ".parquet":
         import pyarrow.parquet as pq
 
-        return pq.read_table(path, partitioning=None)
+        return pq.ParquetFile(path).read()  # read_table takes folders named a=b in the path for columns
     if path.suffix == ".json":
         return json.loads(path.read_bytes())
     if path.suffix == ".safetensors":
@@ -124,10 +124,10 @@ def _column_digest(array: Any, total: Any) -> None:
         for child in array.flatten():
             _column_digest(child, total)
     elif pa.types.is_list(kind) or pa.types.is_large_list(kind) or pa.types.is_fixed_size_list(kind):
-        total.update(_numbers(pc.list_value_length(array)))
+        total.update(_numbers(pc.call_function("list_value_length", [array])))
         _column_digest(array.flatten(), total)
     elif pa.types.is_string(kind) or pa.types.is_binary(kind) or pa.types.is_large_string(kind) or pa.types.is_large_binary(kind):
-        total.update(_numbers(pc.binary_length(array)))
+        total.update(_numbers(pc.call_function("binary_length", [array])))
         total.update(b"".join(v if isinstance(v, bytes) else v.encode() for v in array.drop_null().to_pylist()))
     elif not pa.types.is_null(kind):
         total.update(_numbers(array))

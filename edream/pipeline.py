@@ -189,12 +189,17 @@ class _Maker:
         key = _key(key_fields)
         found = self.store.find(name, key)
         if found is None:
-            with self.store.session(), self.store.lock(name, key, lambda: _say(f"{name}: another process makes this; waiting for it")):
+            with (
+                self.store.session(),
+                self.store.lock(name, key, lambda: _say(f"{name}: another process makes this; waiting for it")),
+            ):
                 found = self.store.find(name, key) or self.run(entry, settings, inputs, key_fields)
         self.made[name] = found
         return found
 
-    def run(self, entry: Stage, settings: Any, inputs: Mapping[str, StoredArtifact], key_fields: Mapping[str, Any]) -> StoredArtifact:
+    def run(
+        self, entry: Stage, settings: Any, inputs: Mapping[str, StoredArtifact], key_fields: Mapping[str, Any]
+    ) -> StoredArtifact:
         key = _key(key_fields)
         if sys.stderr.isatty():
             _say(f"{entry.name} ...")
@@ -292,4 +297,4 @@ def _commit() -> str | None:
 
 
 def _say(text: str) -> None:
-    print(text, file=sys.stderr, flush=True)
+    sys.stderr.write(f"{text}\n")

@@ -5,8 +5,8 @@
     runs/run-<name>.json         what one command made; keeps it from `gc`
     runs/.locks/                 one lock for each key being made, and one for the whole store
 
-An artifact is written under a temporary name, flushed, and renamed; its manifest is written last. A process that dies leaves at most
-a temporary folder, which the next one removes. Locks are `flock`s, which the kernel drops when a process dies.
+An artifact is written under a temporary name, flushed, and renamed; its manifest is written last. A process that dies leaves
+at most a temporary folder, which the next one removes. Locks are `flock`s, which the kernel drops when a process dies.
 """
 
 import errno
@@ -101,7 +101,10 @@ class Store:
         Raises:
             EdreamError: a manifest is corrupt.
         """
-        return sorted((StoredArtifact(path.parent) for path in self._manifests()), key=lambda artifact: (artifact.manifest["made"]["at"], artifact.key))
+        return sorted(
+            (StoredArtifact(path.parent) for path in self._manifests()),
+            key=lambda artifact: (artifact.manifest["made"]["at"], artifact.key),
+        )
 
     def publish(self, manifest: Mapping[str, Any], bundle: Bundle) -> StoredArtifact:
         """Write an artifact; it appears whole, with the fields of `manifest`, or not at all."""

@@ -10,7 +10,7 @@ ROOT = Path(__file__).resolve().parent.parent
 
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
-    """Folder of real measurements: EDREAM_SHARED_DATA, or `shared/data` beside the checkout. Tests that need it are skipped without."""
+    """Folder of real measurements: EDREAM_SHARED_DATA, or `shared/data` beside the checkout; without it, tests are skipped."""
     folder = Path(os.environ.get("EDREAM_SHARED_DATA") or ROOT.parent / "shared" / "data")
     if not folder.is_dir():
         pytest.skip(f"real measurements are not here: no folder {folder}; set EDREAM_SHARED_DATA")

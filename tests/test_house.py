@@ -63,7 +63,9 @@ def imports(path: Path) -> Iterator[str]:
             assert node.level == 0, f"{path}: relative import; write it in full"
             for alias in node.names:
                 whole = f"{node.module}.{alias.name}"
-                is_module = (ROOT / Path(*whole.split("."))).is_dir() or (ROOT / Path(*whole.split("."))).with_suffix(".py").is_file()
+                is_module = (ROOT / Path(*whole.split("."))).is_dir() or (ROOT / Path(*whole.split("."))).with_suffix(
+                    ".py"
+                ).is_file()
                 yield whole if is_module else str(node.module)
 
 
@@ -137,7 +139,11 @@ def test_no_pickle_no_eval_and_no_blind_loading(path: Path) -> None:
             continue
         if isinstance(node.func, ast.Name):
             assert node.func.id not in FORBIDDEN_CALLS, f"{path}:{node.lineno} calls {node.func.id}"
-        if isinstance(node.func, ast.Attribute) and node.func.attr == "load" and ast.unparse(node.func.value) in ("np", "numpy", "torch"):
+        if (
+            isinstance(node.func, ast.Attribute)
+            and node.func.attr == "load"
+            and ast.unparse(node.func.value) in ("np", "numpy", "torch")
+        ):
             keywords = {keyword.arg: ast.unparse(keyword.value) for keyword in node.keywords}
             safe = keywords.get("weights_only") == "True" or keywords.get("allow_pickle") == "False"
             assert safe, f"{path}:{node.lineno} loads without weights_only=True or allow_pickle=False"

@@ -40,7 +40,9 @@ def grow_one(item: int, rng: np.random.Generator) -> Bundle:
 
 def grow(inputs: Mapping[str, Artifact], config: GrowConfig, work: Work) -> Bundle:
     shards = work.shards("values", range(config.shards), grow_one)
-    table = pa.table({"x": np.concatenate([shard["values.safetensors"]["x"] for shard in shards]), "z": work.rng.normal(size=50 * len(shards))})
+    table = pa.table(
+        {"x": np.concatenate([shard["values.safetensors"]["x"] for shard in shards]), "z": work.rng.normal(size=50 * len(shards))}
+    )
     return {"values.parquet": table}
 
 

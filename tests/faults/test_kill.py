@@ -9,7 +9,19 @@ import pytest
 
 from edream.store import Store
 
-FAILPOINTS = ["write", "write:4", "fsync:3", "manifest:2", "manifest:9", "rename:1", "rename:9", "renamed:5", "renamed:9", "renamed:18", "run"]
+FAILPOINTS = [
+    "write",
+    "write:4",
+    "fsync:3",
+    "manifest:2",
+    "manifest:9",
+    "rename:1",
+    "rename:9",
+    "renamed:5",
+    "renamed:9",
+    "renamed:18",
+    "run",
+]
 
 
 def finish(start, runs: Path, workers: int = 1) -> str:

@@ -28,7 +28,9 @@ def test_help_answers_at_once_with_examples() -> None:
 def test_help_imports_no_heavy_library() -> None:
     code = "import sys; from typer.testing import CliRunner; from edream.cli import app; CliRunner().invoke(app, ['--help'])"
     heavy = "{'torch', 'mujoco', 'numpy', 'hydra', 'pyarrow', 'scipy'}"
-    loaded = subprocess.run([sys.executable, "-c", f"{code}; print({heavy} & set(sys.modules))"], capture_output=True, text=True, check=True)
+    loaded = subprocess.run(
+        [sys.executable, "-c", f"{code}; print({heavy} & set(sys.modules))"], capture_output=True, text=True, check=True
+    )
     assert loaded.stdout.strip() == "set()"
 
 

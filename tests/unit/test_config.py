@@ -99,5 +99,5 @@ def test_a_folder_of_ones_own_adds_choices_and_its_misspelt_keys_are_refused(tmp
     assert good.robot.name == "mine"
     pipeline.check_settings(good)
     (tmp_path / "robot" / "mine.yaml").write_text("defaults: [custom]\nnmae: mine\n")
-    with pytest.raises(EdreamError, match="'nmae'. Did you mean 'name'"):
+    with pytest.raises(EdreamError, match=r"'nmae'\. Did you mean 'name'"):
         pipeline.check_settings(config.compose(["robot=mine"], tmp_path))

@@ -59,7 +59,10 @@ def test_a_table_means_the_same_however_it_is_chunked_and_compressed(tmp_path) -
 
 
 @settings(max_examples=40, deadline=None)
-@given(st.lists(st.one_of(st.none(), st.lists(st.one_of(st.none(), st.integers(-5, 5)), max_size=3)), min_size=1, max_size=4), st.data())
+@given(
+    st.lists(st.one_of(st.none(), st.lists(st.one_of(st.none(), st.integers(-5, 5)), max_size=3)), min_size=1, max_size=4),
+    st.data(),
+)
 def test_tables_that_differ_have_different_digests(tmp_path_factory, rows, data) -> None:
     other = data.draw(st.permutations(rows))
     folder = tmp_path_factory.mktemp("tables")
@@ -70,7 +73,9 @@ def test_tables_that_differ_have_different_digests(tmp_path_factory, rows, data)
 
 
 def test_a_column_name_or_type_changes_the_digest(tmp_path) -> None:
-    tables = [pa.table({"x": pa.array([1, 2], kind)}) for kind in (pa.int64(), pa.int32(), pa.float64())] + [pa.table({"y": [1, 2]})]
+    tables = [pa.table({"x": pa.array([1, 2], kind)}) for kind in (pa.int64(), pa.int32(), pa.float64())] + [
+        pa.table({"y": [1, 2]})
+    ]
     digests = set()
     for i, table in enumerate(tables):
         kinds.write(table, tmp_path / f"{i}.parquet")
