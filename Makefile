@@ -8,10 +8,10 @@ export OMP_NUM_THREADS ?= 1
 
 .PHONY: reproduce test slow check check-lerobot check-mcap clean
 
-# From a make-believe robot's recordings to episodes; again, it finds what is there.
+# A make-believe robot is recorded, its recordings ingested, its simulator calibrated; called again, it finds what is there.
 reproduce: .venv/ready
 	test -d $(DEMO)/recorded || $(RUN)/edream record robot=arm6 record.out=$(DEMO)/recorded seed=1
-	$(RUN)/edream ingest robot=arm6 data=$(DEMO)/recorded ingest.fps=50 runs=$(DEMO)/runs
+	$(RUN)/edream calibrate robot=arm6 data=$(DEMO)/recorded ingest.fps=50 runs=$(DEMO)/runs run=reproduce
 
 test: .venv/ready
 	$(RUN)/python -m pytest -m "not slow" -q
