@@ -38,8 +38,8 @@ class State(Protocol):
     qvel: Float[np.ndarray, "N nv"]
     ctrl: Float[np.ndarray, "N nu"]
     qfrc_bias: Float[np.ndarray, "N nv"]
-    actuator_force: Float[np.ndarray, "N nu"]
-    gain: Float[np.ndarray, "N nu"]
+    actuator_force: Float[np.ndarray, "N outputs"]
+    gain: Float[np.ndarray, "N actuators"]
     friction: Float[np.ndarray, "N nv"]
     torque: Float[np.ndarray, "N nv"]
 
@@ -56,9 +56,9 @@ class Effect(ABC):
         place: what it acts on. A "pair" acts on its first target because of its second; "world" has no target.
         confusable: effects that some motions cannot tell from this one.
         hook: what MJCF cannot say. Called before each step as `hook(state, index, values)`: adds to `state.friction`
-            [N m] or `state.torque` [N m]. `index` has "dof", "qpos", "actuator" and "ctrl" of the first target, and the same with
-            "other_" for a pair's second. It is written into the emitted hook file as it stands, so it uses only its
-            arguments and `np`.
+            [N m] or `state.torque` [N m]. `index` is `joint_index` of the first target, and the same with "other_" for a pair's
+            second. It is written into the emitted hook file as it stands, so it uses only its arguments and `np`.
+        late: whether it changes what other effects wrote, and so comes after them.
     """
 
     name: str
@@ -66,6 +66,7 @@ class Effect(ABC):
     place: Place
     confusable: tuple[str, ...] = ()
     hook: Hook | None = None
+    late: bool = False
 
     @abstractmethod
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
@@ -91,21 +92,33 @@ class Effect(ABC):
         """Write the numbers of one target into the fields of N simulations."""
 
 
+MOTOR_SUFFIX = "_motor"  # joint of a motor behind a gear that gives or has play
+MEASURED_SUFFIX = "_measured"  # sensor of a joint that is read in place of its position
+
+
 def joint_index(model: mujoco.MjModel, joint: str) -> dict[str, int]:
-    """Addresses of a joint and of the actuator that drives it: "joint", "dof", "qpos", "actuator", "ctrl".
+    """Addresses of a joint and of the actuator that drives it.
+
+    Returns:
+        "joint", "dof" and "qpos" of the joint itself; "actuator", "ctrl" and "force" (into `actuator_force`) of its servo; "drive" and
+        "drive_qpos", the motor's own degree of freedom: the joint's, unless a gear with play or give was put between (`<joint>_motor`).
 
     Raises:
         EdreamError: no actuator drives the joint.
     """
     number = model.joint(joint).id
-    for actuator in range(model.nu):
+    drives = {number, *(j for j in range(model.njnt) if model.joint(j).name == joint + MOTOR_SUFFIX)}
+    for actuator in range(model.nactuator):
         driven = int(model.actuator_trnid[actuator, 0])
-        if int(model.actuator_trntype[actuator]) in (0, 1) and driven == number and model.actuator_ctrlnum[actuator]:
+        if int(model.actuator_trntype[actuator]) in (0, 1) and driven in drives and model.actuator_ctrlnum[actuator]:
             return {
                 "joint": number,
                 "dof": int(model.jnt_dofadr[number]),
                 "qpos": int(model.jnt_qposadr[number]),
                 "actuator": actuator,
                 "ctrl": int(model.actuator_ctrladr[actuator]),
+                "force": int(model.actuator_outadr[actuator]),
+                "drive": int(model.jnt_dofadr[driven]),
+                "drive_qpos": int(model.jnt_qposadr[driven]),
             }
     raise EdreamError(f"Joint {joint!r} has no actuator of its own; effects act on actuated joints.")

@@ -7,6 +7,7 @@ import numpy as np
 
 from edream.core.effect import Effect, Fields, Values, joint_index
 from edream.core.parameters import Parameter
+from edream.sim.servo import servo
 
 LONGEST = 0.12
 
@@ -28,12 +29,14 @@ class ActuatorDelay(Effect):
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
         return (Parameter("time", "s", 0.0, LONGEST - 2 * float(model.opt.timestep), 0.0, absent=0.0),)
 
+    def probes(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[dict[str, float], ...]:
+        return ({"time": 0.01},)
+
     def edit(self, spec: mujoco.MjSpec, target: str) -> None:
-        for actuator in spec.actuators:
-            if actuator.target == target:
-                actuator.nsample = int(np.ceil(LONGEST / spec.option.timestep)) + 1
-                actuator.interp = 1
-                actuator.delay = float(spec.option.timestep)
+        actuator = servo(spec, target)
+        actuator.nsample = int(np.ceil(LONGEST / spec.option.timestep)) + 1
+        actuator.interp = 1
+        actuator.delay = float(spec.option.timestep)
 
     def write(self, fields: Fields, target: str, values: Values) -> None:
         fields["actuator_delay"][:, joint_index(fields.model, target)["actuator"]] = values["time"]

@@ -6,6 +6,7 @@ import mujoco
 
 from edream.core.effect import Effect, Fields, Values, joint_index
 from edream.core.parameters import Parameter
+from edream.sim.rotor import LINK_SHARE
 
 
 class Armature(Effect):
@@ -28,8 +29,16 @@ class Armature(Effect):
         around = max(nominal, 0.05 * float(model.dof_M0[dof]), 1e-6)
         return (Parameter("inertia", "kg m^2", around / 100.0, around * 20.0, max(nominal, around / 100.0), scale="log"),)
 
+    def probes(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[dict[str, float], ...]:
+        start = self.parameters(model, targets)[0].start
+        return ({"inertia": 0.5 * start}, {"inertia": 2.0 * start})
+
     def write(self, fields: Fields, target: str, values: Values) -> None:
-        fields["dof_armature"][:, joint_index(fields.model, target)["dof"]] = values["inertia"]
+        index = joint_index(fields.model, target)
+        fields["dof_armature"][:, index["dof"]] = values["inertia"]
+        if index["drive"] != index["dof"]:
+            fields["dof_armature"][:, index["dof"]] *= LINK_SHARE
+            fields["dof_armature"][:, index["drive"]] = (1.0 - LINK_SHARE) * values["inertia"]
 
 
 ENTRY = Armature()

@@ -8,6 +8,7 @@ import numpy as np
 from edream.core.effect import Effect, Fields, Values, joint_index
 from edream.core.parameters import Parameter
 from edream.sim.friction import hold_still
+from edream.sim.rotor import drive_joint
 from edream.sim.scales import largest
 
 
@@ -27,15 +28,15 @@ class Coulomb(Effect):
     confusable = ("dead_zone", "backlash", "load_friction")
 
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
-        nominal = float(model.dof_frictionloss[joint_index(model, targets[0])["dof"]])
+        nominal = float(model.dof_frictionloss[joint_index(model, targets[0])["drive"]])
         high = max(5.0 * nominal, largest(model, targets))
         return (Parameter("torque", "N m", 0.0, high, float(np.clip(nominal, 0.0, high)), absent=0.0),)
 
     def edit(self, spec: mujoco.MjSpec, target: str) -> None:
-        hold_still(spec, target)
+        hold_still(spec, drive_joint(spec, target))
 
     def write(self, fields: Fields, target: str, values: Values) -> None:
-        fields["dof_frictionloss"][:, joint_index(fields.model, target)["dof"]] = values["torque"]
+        fields["dof_frictionloss"][:, joint_index(fields.model, target)["drive"]] = values["torque"]
 
 
 ENTRY = Coulomb()

@@ -26,8 +26,9 @@ class EncoderOffset(Effect):
         return (Parameter("angle", "rad", -0.35, 0.35, 0.0, absent=0.0, spread=0.1),)
 
     def write(self, fields: Fields, target: str, values: Values) -> None:
-        qpos = joint_index(fields.model, target)["qpos"]
-        fields["qpos0"][:, qpos] = fields.model.qpos0[qpos] + values["angle"]
+        index = joint_index(fields.model, target)
+        for qpos in {index["qpos"], index["drive_qpos"]}:
+            fields["qpos0"][:, qpos] = fields.model.qpos0[qpos] + values["angle"]
 
 
 ENTRY = EncoderOffset()

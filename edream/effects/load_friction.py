@@ -8,12 +8,13 @@ import mujoco
 from edream.core.effect import Effect, State
 from edream.core.parameters import Parameter
 from edream.sim.friction import hold_still
+from edream.sim.rotor import drive_joint
 
 
 def load_friction(state: State, index: dict[str, int], values: dict[str, Any]) -> None:
     """Dry friction grows with the torque that gravity and motion put on the joint."""
     load = abs(state.qfrc_bias[:, index["dof"]])
-    state.friction[:, index["dof"]] += values["slope"] * load
+    state.friction[:, index["drive"]] += values["slope"] * load
 
 
 class LoadFriction(Effect):
@@ -36,7 +37,7 @@ class LoadFriction(Effect):
         return (Parameter("slope", "1", 0.0, 2.0, 0.0, absent=0.0),)
 
     def edit(self, spec: mujoco.MjSpec, target: str) -> None:
-        hold_still(spec, target)
+        hold_still(spec, drive_joint(spec, target))
 
 
 ENTRY = LoadFriction()

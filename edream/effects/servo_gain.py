@@ -6,6 +6,7 @@ import mujoco
 
 from edream.core.effect import Effect, Fields, Values, joint_index
 from edream.core.parameters import Parameter
+from edream.sim.servo import is_pid
 
 
 class ServoGain(Effect):
@@ -23,12 +24,17 @@ class ServoGain(Effect):
     confusable = ("payload", "compliance", "gear_ratio")
 
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
-        kp = float(model.actuator_gainprm[joint_index(model, targets[0])["actuator"], 0])
+        kp = -float(model.actuator_biasprm[joint_index(model, targets[0])["actuator"], 1])
         return (Parameter("kp", "N m/rad", kp / 200.0, kp * 10.0, kp, scale="log"),)
+
+    def probes(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[dict[str, float], ...]:
+        start = self.parameters(model, targets)[0].start
+        return ({"kp": 0.8 * start}, {"kp": 1.25 * start})
 
     def write(self, fields: Fields, target: str, values: Values) -> None:
         actuator = joint_index(fields.model, target)["actuator"]
-        fields["actuator_gainprm"][:, actuator, 0] = values["kp"]
+        if not is_pid(fields.model, actuator):
+            fields["actuator_gainprm"][:, actuator, 0] = values["kp"]
         fields["actuator_biasprm"][:, actuator, 1] = -values["kp"]
 
 

@@ -27,14 +27,18 @@ class Viscous(Effect):
 
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
         index = joint_index(model, targets[0])
-        nominal = float(model.dof_damping[index["dof"]] - model.actuator_biasprm[index["actuator"], 2])
+        nominal = float(model.dof_damping[index["drive"]] - model.actuator_biasprm[index["actuator"], 2])
         high = max(10.0 * nominal, largest(model, targets))
         return (Parameter("damping", "N m s/rad", high * 1e-4, high, float(np.clip(nominal, high * 1e-4, high)), scale="log"),)
+
+    def probes(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[dict[str, float], ...]:
+        start = self.parameters(model, targets)[0].start
+        return ({"damping": 0.7 * start}, {"damping": 1.4 * start})
 
     def write(self, fields: Fields, target: str, values: Values) -> None:
         index = joint_index(fields.model, target)
         fields["actuator_biasprm"][:, index["actuator"], 2] = 0.0
-        fields["dof_damping"][:, index["dof"]] = values["damping"]
+        fields["dof_damping"][:, index["drive"]] = values["damping"]
 
 
 ENTRY = Viscous()

@@ -6,40 +6,52 @@ import numpy as np
 from jaxtyping import Float
 from mujoco import batch
 
-from edream.sim.simulation import SimulatedRobot, hook_index
+from edream.sim.simulation import SimulatedRobot, hook_index, late_last
 
 
 class BatchState:
     """What hooks see of a batch: `edream.core.effect.State` for N simulations."""
 
-    def __init__(self, simulations: batch.Batch, simulated: SimulatedRobot) -> None:
+    def __init__(self, simulations: batch.Batch, start: Float[np.ndarray, "N"] | float = 0.0) -> None:
         bind = simulations.bind
         self.clock = bind("time")
         self.qpos, self.qvel, self.ctrl = bind("qpos"), bind("qvel"), bind("ctrl")
         self.qfrc_bias, self.actuator_force = bind("qfrc_bias"), bind("actuator_force")
-        self.gain = simulations.expand("actuator_gainprm")[:, :, 0]
+        self._bias = simulations.expand("actuator_biasprm")
         self.friction = simulations.expand("dof_frictionloss")
         self.torque = bind("qfrc_applied")
         self.base_friction = self.friction.copy()
+        self.start = start
 
     @property
     def time(self) -> Float[np.ndarray, "N"]:
-        return self.clock.reshape(len(self.clock))
+        return self.clock.reshape(len(self.clock)) + self.start
+
+    @property
+    def gain(self) -> Float[np.ndarray, "N actuators"]:
+        """Position gains in force: the bias term holds them for position and PID servos alike."""
+        return -self._bias[:, :, 1]
 
 
 def batch_hooks(
-    simulated: SimulatedRobot, simulations: batch.Batch, numbers: Sequence[Mapping[str, Float[np.ndarray, "N"]]]
+    simulated: SimulatedRobot,
+    simulations: batch.Batch,
+    numbers: Sequence[Mapping[str, Float[np.ndarray, "N"]]],
+    start: Float[np.ndarray, "N"] | float = 0.0,
 ) -> Callable[[], None] | None:
     """One function that applies every hook to a batch, or None where no effect has one.
 
     Call it after the fields are written: the friction that they hold is what hooks add to.
+
+    Args:
+        start: time of each simulation's first step since its recording began [s].
     """
     if not simulated.has_hooks:
         return None
-    state = BatchState(simulations, simulated)
+    state = BatchState(simulations, start)
     calls = [
         (placement.effect.hook, hook_index(simulated.model, placement.effect, target), values)
-        for placement, values in zip(simulated.placements, numbers, strict=True)
+        for placement, values in late_last(zip(simulated.placements, numbers, strict=True))
         if placement.effect.hook is not None
         for target in placement.targets or ("",)
     ]

@@ -8,6 +8,7 @@ from pathlib import Path, PurePosixPath
 
 import mujoco
 
+from edream.core.effect import MOTOR_SUFFIX
 from edream.core.errors import EdreamError, unknown_name
 
 MAX_BYTES = 64 * 2**20
@@ -63,7 +64,10 @@ class RobotModel:
         """
         model = self.model
         names = []
-        for actuator in range(model.nu):
+        every = {model.joint(number).name for number in range(model.njnt)}
+        for actuator in range(model.nactuator):
+            if not model.actuator_ctrlnum[actuator]:
+                continue  # a passive device (cogging, bristle friction) takes no command
             if int(model.actuator_trntype[actuator]) not in JOINT_TRANSMISSIONS:
                 raise EdreamError(
                     f"Robot {self.name!r}: actuator {model.actuator(actuator).name!r} does not drive a joint; "
@@ -72,7 +76,9 @@ class RobotModel:
             joint = int(model.actuator_trnid[actuator, 0])
             if int(model.jnt_type[joint]) not in HINGE_OR_SLIDE:
                 raise EdreamError(f"Robot {self.name!r}: joint {model.joint(joint).name!r} is neither hinge nor slide.")
-            names.append(model.joint(joint).name)
+            name = model.joint(joint).name
+            link = name.removesuffix(MOTOR_SUFFIX)  # a motor behind a gear with play or give moves the link's joint
+            names.append(link if link in every else name)
         if not names:
             raise EdreamError(f"Robot {self.name!r} has no actuator; expected one position actuator for each recorded joint.")
         return tuple(names)
@@ -110,7 +116,9 @@ def load_robot(path: Path, name: str | None = None, site: str | None = None) -> 
     text = _read_text(path)
     includes = _files(text, root, path, tag="include")
     for depth in range(16):
-        nested = {k: v for inner in list(includes.values()) for k, v in _files(_decode(inner, path), root, path, tag="include").items()}
+        nested = {
+            k: v for inner in list(includes.values()) for k, v in _files(_decode(inner, path), root, path, tag="include").items()
+        }
         if nested.keys() <= includes.keys():
             break
         includes |= nested
@@ -165,7 +173,9 @@ def _asset_files(text: str, texts: list[str], root: Path, path: Path) -> dict[st
     joined = "\n".join(texts)
     found: dict[str, bytes] = {}
     for tag, attribute in (("mesh", "meshdir"), ("hfield", "meshdir"), ("skin", "meshdir"), ("texture", "texturedir")):
-        named = re.search(rf'\b{attribute}\s*=\s*["\']([^"\']*)["\']', joined) or re.search(r'\bassetdir\s*=\s*["\']([^"\']*)["\']', joined)
+        named = re.search(rf'\b{attribute}\s*=\s*["\']([^"\']*)["\']', joined) or re.search(
+            r'\bassetdir\s*=\s*["\']([^"\']*)["\']', joined
+        )
         found |= _files(text, root, path, tag, folder=named.group(1) if named else "")
     return found
 

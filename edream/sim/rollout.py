@@ -8,14 +8,12 @@ import numpy as np
 from jaxtyping import Float
 from mujoco import batch
 
-from edream.core.effect import joint_index
+from edream.core.effect import MEASURED_SUFFIX, MOTOR_SUFFIX, joint_index
 from edream.core.episode import Episode
 from edream.sim.hooks import batch_hooks
 from edream.sim.simulation import SimulatedRobot, write_fields
 
 CHUNK = 100
-MEASURED_SUFFIX = "_measured"
-MOTOR_SUFFIX = "_motor"
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,7 +132,7 @@ class _Replay:
         self._gains = _Servos(self.batch, self.model)
         write_fields(simulated, self.batch, numbers)
         self._gains.remember()
-        self.hooks = batch_hooks(simulated, self.batch, numbers)
+        self.hooks = batch_hooks(simulated, self.batch, numbers, _begins(windows, self.n))
         self.record, self.columns, self.lag = _measured(self.model, joints)
         self.samples = [window.times / self.step for window in windows]
         self.steps = [int(np.ceil(s[-1])) + self.lag for s in self.samples]
@@ -255,6 +253,11 @@ def _measured(model: mujoco.MjModel, joints: Sequence[str]) -> tuple[str, np.nda
     return "sensordata", np.array([model.sensor_adr[sensor] for sensor in sensors]), 1
 
 
+def _begins(windows: Sequence[Window], n: int) -> Float[np.ndarray, "N"]:
+    """Time of each simulation's first measurement since its recording began [s]."""
+    return np.repeat([window.episode.times[window.first] - window.episode.times[0] for window in windows], n)
+
+
 def _held_commands(window: Window, step: float, steps: int) -> Float[np.ndarray, "K J"]:
     """The command in force at each step (zero-order hold)."""
     episode = window.episode
@@ -308,5 +311,5 @@ def _holds_setpoint(model: mujoco.MjModel, actuator: int) -> bool:
     """Whether the actuator's first activation is a setpoint on its way to the command (a filter or a slew limit)."""
     dynamics = int(model.actuator_dyntype[actuator])
     if dynamics == int(mujoco.mjtDyn.mjDYN_PID):
-        return bool(model.actuator_actnum[actuator] > 1 or model.actuator_gainprm[actuator, 0] == 0.0)
+        return bool(model.actuator_dynprm[actuator, 1] > 0.0)
     return dynamics in (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT))

@@ -3,6 +3,8 @@
 import mujoco
 import numpy as np
 
+from edream.core.effect import joint_index
+
 POSES = 24
 BRISK_ACCELERATION = 20.0  # rad/s^2: what a brisk servo move asks of a joint
 
@@ -31,3 +33,18 @@ def torque_scale(model: mujoco.MjModel, joint: str) -> float:
 def largest(model: mujoco.MjModel, joints: tuple[str, ...] | list[str]) -> float:
     """The largest `torque_scale` among joints that share their numbers [N m]."""
     return max(torque_scale(model, joint) for joint in joints)
+
+
+def travel(model: mujoco.MjModel, joint: str) -> tuple[float, float]:
+    """Range of a joint [rad], half a turn to each side where it has none."""
+    number = model.joint(joint).id
+    low, high = model.jnt_range[number] if model.jnt_limited[number] else (-np.pi, np.pi)
+    return float(low), float(high)
+
+
+def strongest(model: mujoco.MjModel, joint: str) -> float:
+    """The largest torque that a joint's servo can give [N m]: its limit, or without one that of an error of 1.5 rad."""
+    actuator = joint_index(model, joint)["actuator"]
+    if model.actuator_forcelimited[actuator]:
+        return float(model.actuator_forcerange[actuator, 1])
+    return max(10.0 * torque_scale(model, joint), -1.5 * float(model.actuator_biasprm[actuator, 1]))

@@ -1,8 +1,9 @@
 """A robot with effects placed on it: compiled once, simulated many times."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TypeVar
 
 import mujoco
 import numpy as np
@@ -13,6 +14,8 @@ from edream.core.effect import Effect, joint_index
 from edream.core.errors import EdreamError
 from edream.core.parameters import Parameter, ParameterSpace
 from edream.sim.robot import RobotModel
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -100,7 +103,9 @@ class SimulatedRobot:
             return self.spec().compile()
         except ValueError as error:
             names = ", ".join(placement.effect.name for placement in self.placements)
-            raise EdreamError(f"Robot {self.robot.name!r} with {names}: MuJoCo cannot compile it: {' '.join(str(error).split())}") from error
+            raise EdreamError(
+                f"Robot {self.robot.name!r} with {names}: MuJoCo cannot compile it: {' '.join(str(error).split())}"
+            ) from error
 
     def with_placements(self, placements: Sequence[Placement]) -> "SimulatedRobot":
         return SimulatedRobot(self.robot, tuple(placements))
@@ -162,12 +167,17 @@ def write_fields(
 ) -> BatchFields:
     """Write every placement's numbers into a batch and bring derived constants up to date."""
     fields = BatchFields(simulations, simulated.model)
-    for placement, values in zip(simulated.placements, numbers, strict=True):
+    for placement, values in late_last(zip(simulated.placements, numbers, strict=True)):
         for target in placement.targets or ("",):
             placement.effect.write(fields, target, values)
     if fields.touched & DERIVING:
         simulations.set_const()
     return fields
+
+
+def late_last(pairs: Iterable[tuple[Placement, T]]) -> list[tuple[Placement, T]]:
+    """Placements in their order, but those whose effects change what others wrote at the end."""
+    return sorted(pairs, key=lambda pair: pair[0].effect.late)
 
 
 # mj_setConst also reads damping and armature, but only for invweight and diagnostics; kinematics and inertia need it.

@@ -1,0 +1,71 @@
+"""A mass that the model does not have."""
+
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+
+from edream.core.effect import Effect, Fields, Values
+from edream.core.parameters import Parameter
+
+REACH = 0.15  # m, from the body's own centre of mass or its first site
+
+
+class Payload(Effect):
+    """A point mass on a body: a tool, a camera, a cable bundle, something held; negative where the model is too heavy.
+
+        m' = m + dm,  m' c' = m c + dm p
+
+    Its load follows the pose like gravity's and grows with acceleration; it is the same in both directions. Writes the body's mass,
+    centre and inertia (diagonalised). Parameters: mass dm [kg]; place p in the body's frame: x, y, z [m], around the body's first
+    site or, without one, its own centre of mass. Source: Khalil, Dombre, Modeling, Identification and Control of Robots, 2002.
+    """
+
+    name = "payload"
+    summary = "a payload"
+    place = "body"
+    confusable = ("servo_gain", "spring", "encoder_offset", "gravity_tilt", "constant_torque")
+
+    def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
+        body = model.body(targets[0]).id
+        sites = [s for s in range(model.nsite) if model.site_bodyid[s] == body]
+        centre = model.site_pos[sites[0]] if sites else model.body_ipos[body]
+        total = float(model.body_subtreemass[0])
+        places = (
+            Parameter(axis, "m", c - REACH, c + REACH, c, spread=0.04) for axis, c in zip("xyz", map(float, centre), strict=True)
+        )
+        return (Parameter("mass", "kg", -0.4 * float(model.body_mass[body]), 0.5 * total, 0.0, absent=0.0), *places)
+
+    def probes(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[dict[str, float], ...]:
+        mass, *places = self.parameters(model, targets)
+        return ({"mass": 0.04 * mass.high} | {place.name: place.start for place in places},)
+
+    def write(self, fields: Fields, target: str, values: Values) -> None:
+        model, body = fields.model, fields.model.body(target).id
+        mass, point = values["mass"], np.stack([values[axis] for axis in "xyz"], axis=1)
+        there = np.flatnonzero(mass != 0.0)
+        own, centre = float(model.body_mass[body]), model.body_ipos[body]
+        total = own + mass[there]
+        joint = (own * centre + mass[there, None] * point[there]) / total[:, None]
+        turn = np.zeros(9)
+        mujoco.mju_quat2Mat(turn, model.body_iquat[body])
+        inertia = turn.reshape(3, 3) @ np.diag(model.body_inertia[body]) @ turn.reshape(3, 3).T
+        inertia = inertia + own * _about(centre - joint) + mass[there, None, None] * _about(point[there] - joint)
+        principal, axes = np.linalg.eigh(inertia)
+        axes[np.linalg.det(axes) < 0.0, :, 2] *= -1.0
+        fields["body_mass"][there, body] = total
+        fields["body_ipos"][there, body] = joint
+        fields["body_inertia"][there, body] = np.maximum(principal, 1e-9)
+        turns = fields["body_iquat"]
+        for row, frame in zip(there, axes, strict=True):
+            mujoco.mju_mat2Quat(turns[row, body], np.ascontiguousarray(frame).ravel())
+
+
+def _about(offset: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3 3"]:
+    """Inertia of a unit mass at an offset [m^2]."""
+    square = (offset**2).sum(axis=1)
+    return square[:, None, None] * np.eye(3) - offset[:, :, None] * offset[:, None, :]
+
+
+ENTRY = Payload()

@@ -1,0 +1,48 @@
+"""A motor that cannot give more than so much torque."""
+
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+
+from edream.core.effect import Effect, Fields, Values, joint_index
+from edream.core.parameters import Parameter
+from edream.sim.scales import largest, strongest
+from edream.sim.servo import servo
+
+
+class TorqueLimit(Effect):
+    """Saturation of the motor's torque.
+
+        |tau| <= T
+
+    Nothing on light moves; heavy or fast ones fall behind. Writes the servo's `forcerange`.
+    Parameter: torque T [N m], absolute. Source: MuJoCo XML reference, actuator/general/forcerange.
+    """
+
+    name = "torque_limit"
+    summary = "a limit of the motor torque"
+    place = "joint"
+    confusable = ("torque_speed_limit", "servo_gain", "slew_limit")
+
+    def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
+        scale, nominal = largest(model, targets), max(strongest(model, target) for target in targets)
+        return (Parameter("torque", "N m", min(0.05 * scale, 0.5 * nominal), nominal, nominal, absent=nominal, scale="log"),)
+
+    def probes(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[dict[str, float], ...]:
+        high = self.parameters(model, targets)[0].high
+        return tuple({"torque": min(a * largest(model, targets), high)} for a in (0.3, 0.6, 1.0))
+
+    def edit(self, spec: mujoco.MjSpec, target: str) -> None:
+        actuator = servo(spec, target)
+        actuator.forcelimited = True
+        if not np.any(actuator.forcerange):
+            actuator.forcerange = [-1e6, 1e6]
+
+    def write(self, fields: Fields, target: str, values: Values) -> None:
+        actuator = joint_index(fields.model, target)["actuator"]
+        fields["actuator_forcerange"][:, actuator, 0] = -values["torque"]
+        fields["actuator_forcerange"][:, actuator, 1] = values["torque"]
+
+
+ENTRY = TorqueLimit()

@@ -1,0 +1,51 @@
+"""A motor whose torque falls with its speed."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from edream.core.effect import Effect, State
+from edream.core.parameters import Parameter
+from edream.sim.scales import largest, strongest
+
+
+def torque_speed_limit(state: State, index: dict[str, int], values: dict[str, Any]) -> None:
+    """The motor's torque is limited by a line from stall torque to no-load speed."""
+    dof, force = index["drive"], state.actuator_force[:, index["force"]]
+    speed = state.qvel[:, dof]
+    slowed = np.where(force * speed > 0.0, np.maximum(1.0 - np.abs(speed) / values["speed"], 0.0), 1.0)
+    limit = values["stall"] * slowed
+    state.torque[:, dof] += np.clip(force, -limit, limit) - force
+
+
+class TorqueSpeedLimit(Effect):
+    """Back-EMF: the faster the motor turns, the less torque its voltage can drive.
+
+        |tau| <= Ts max(1 - |qd| / w0, 0)  while the motor drives,  |tau| <= Ts  while it brakes
+
+    Fast moves flatten out at a top speed, slow ones are untouched. A hook takes back what exceeds the limit, from the force of
+    the step before. Parameters: stall torque Ts [N m], no-load speed w0 [rad/s]. Source: MuJoCo technical note on DC motors, 1.1.
+    """
+
+    name = "torque_speed_limit"
+    summary = "a motor torque that falls with speed"
+    place = "joint"
+    confusable = ("torque_limit", "quadratic_drag", "slew_limit")
+    hook = staticmethod(torque_speed_limit)
+
+    def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
+        stall = max(strongest(model, target) for target in targets)
+        return (
+            Parameter("stall", "N m", min(0.05 * largest(model, targets), 0.5 * stall), stall, stall, absent=stall, scale="log"),
+            Parameter("speed", "rad/s", 0.2, 200.0, 200.0, absent=200.0, scale="log"),
+        )
+
+    def probes(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[dict[str, float], ...]:
+        torque, stall = largest(model, targets), self.parameters(model, targets)[0].high
+        pairs = ((0.5 * torque, 5.0), (torque, 2.0), (4.0 * torque, 2.0), (stall, 2.0))
+        return tuple({"stall": min(limit, stall), "speed": speed} for limit, speed in pairs)
+
+
+ENTRY = TorqueSpeedLimit()

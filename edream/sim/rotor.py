@@ -1,0 +1,74 @@
+"""A motor of its own behind a joint: where a gear's give and play go."""
+
+import mujoco
+import numpy as np
+
+from edream.core.effect import MOTOR_SUFFIX, Fields
+from edream.sim.servo import servo
+
+GEAR_SUFFIX = "_gear"
+LINK_SHARE = 0.1  # of the armature stays on the link (output shaft), so that light links keep a stable gear
+STABLE = 0.3  # of reduced inertia / step^2: the stiffest spring that explicit integration carries
+RIGID = 0.9999
+
+
+def add_rotor(spec: mujoco.MjSpec, joint: str) -> mujoco.MjsTendon:
+    """Put a rotor `<joint>_motor` between a joint's servo and its link; what is measured stays the link.
+
+    Armature, damping and dry friction move to the rotor, a massless body on the same axis. Three things tie it to the link: a fixed
+    tendon `<joint>_gear` of length link - motor, which effects give stiffness or a range, and an equality `<joint>_gear` that locks
+    both together until an effect opens it. Adding it twice changes nothing. Keyframes are dropped: their size no longer fits.
+
+    Returns:
+        The tendon.
+    """
+    motor, gear = joint + MOTOR_SUFFIX, joint + GEAR_SUFFIX
+    for tendon in spec.tendons:
+        if tendon.name == gear:
+            return tendon
+    link = spec.joint(joint)
+    carrier = link.parent.parent.add_body(name=motor, pos=link.parent.pos, quat=link.parent.quat, mass=1e-6, inertia=[1e-9] * 3)
+    carrier.explicitinertial = True
+    for kind in ("axisangle", "xyaxes", "zaxis", "euler", "type"):
+        setattr(carrier.alt, kind, getattr(link.parent.alt, kind))
+    rotor = carrier.add_joint(name=motor, type=link.type, pos=link.pos, axis=link.axis, ref=link.ref)
+    rotor.armature, link.armature = (1.0 - LINK_SHARE) * link.armature, LINK_SHARE * link.armature
+    rotor.damping, link.damping = link.damping, np.zeros(3)
+    rotor.frictionloss, link.frictionloss = link.frictionloss, 0.0
+    rotor.solref_friction, rotor.solimp_friction = link.solref_friction, link.solimp_friction
+    servo(spec, joint).target = motor
+    for key in list(spec.keys):
+        spec.delete(key)
+    tendon = spec.add_tendon(name=gear, springlength=[0.0, 0.0])
+    tendon.wrap_joint(joint, 1.0)
+    tendon.wrap_joint(motor, -1.0)
+    lock = spec.add_equality(name=gear, type=mujoco.mjtEq.mjEQ_JOINT, name1=joint, name2=motor, objtype=mujoco.mjtObj.mjOBJ_JOINT)
+    lock.data = [0.0, 1.0] + [0.0] * (len(lock.data) - 2)
+    lock.solref = [2.0 * spec.option.timestep, 1.0]
+    lock.solimp = [RIGID, RIGID, 0.001, 0.5, 2.0]
+    return tendon
+
+
+def drive_joint(spec: mujoco.MjSpec, joint: str) -> str:
+    """The joint on which the motor's friction acts: the rotor's where there is one."""
+    return joint + MOTOR_SUFFIX if spec.joint(joint + MOTOR_SUFFIX) is not None else joint
+
+
+def open_gear(fields: Fields, joint: str, is_open: np.ndarray) -> None:
+    """Unlock the gear in those simulations where `is_open`, (N,)."""
+    fields["eq_active0"][is_open, fields.model.equality(joint + GEAR_SUFFIX).id] = 0
+
+
+def gear_limit(model: mujoco.MjModel, joint: str) -> float:
+    """The stiffest gear that stays stable at this model's time step [N m/rad], of the model as published or with its rotor."""
+    number = model.joint(joint + MOTOR_SUFFIX if has_rotor(model, joint) else joint).id
+    inertia = float(model.dof_armature[model.jnt_dofadr[number]]) / ((1.0 - LINK_SHARE) if has_rotor(model, joint) else 1.0)
+    inside = 0.0 if has_rotor(model, joint) else (1.0 - LINK_SHARE) * inertia
+    link = max(float(model.dof_M0[model.jnt_dofadr[model.joint(joint).id]]) - inside, 1e-9)
+    rotor = (1.0 - LINK_SHARE) * inertia
+    return STABLE / float(model.opt.timestep) ** 2 * link * rotor / (link + rotor)
+
+
+def has_rotor(model: mujoco.MjModel, joint: str) -> bool:
+    """Whether a joint's motor has a degree of freedom of its own."""
+    return mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, joint + MOTOR_SUFFIX) >= 0

@@ -1,0 +1,65 @@
+"""The servo that drives a joint: found in a spec, and given the features of MuJoCo's PID actuator."""
+
+import mujoco
+import numpy as np
+
+from edream.core.effect import MOTOR_SUFFIX
+from edream.core.errors import EdreamError
+
+NO_INPUT = 16  # mjINPUT_NONE: a passive device
+PID = int(mujoco.mjtGain.mjGAIN_PID)
+
+
+def servo(spec: mujoco.MjSpec, joint: str) -> mujoco.MjsActuator:
+    """The actuator that a joint's commands go to.
+
+    Raises:
+        EdreamError: no actuator with an input drives the joint.
+    """
+    for actuator in spec.actuators:
+        if actuator.target in (joint, joint + MOTOR_SUFFIX) and actuator.gaintype != mujoco.mjtGain.mjGAIN_DCMOTOR:
+            return actuator
+    raise EdreamError(f"Joint {joint!r} has no actuator of its own; effects act on actuated joints.")
+
+
+def as_pid(spec: mujoco.MjSpec, joint: str) -> mujoco.MjsActuator:
+    """Turn a joint's position servo into MuJoCo's `pid` with the same gains, whose slew limit and integral are off until set.
+
+    `gainprm[0]` then holds ki, `dynprm` holds (imax, slewmax), and the position gain lives in `biasprm[1]` alone.
+
+    Raises:
+        EdreamError: the servo already has a filter, which a PID actuator cannot have.
+    """
+    actuator = servo(spec, joint)
+    if actuator.gaintype == mujoco.mjtGain.mjGAIN_PID:
+        return actuator
+    if actuator.dyntype != mujoco.mjtDyn.mjDYN_NONE:
+        raise EdreamError(f"Servo of joint {joint!r} has a filter; MuJoCo cannot give it a slew limit or an integral as well.")
+    actuator.gaintype = mujoco.mjtGain.mjGAIN_PID
+    actuator.dyntype = mujoco.mjtDyn.mjDYN_PID
+    actuator.gainprm = np.zeros(len(actuator.gainprm))
+    actuator.dynprm = np.zeros(len(actuator.dynprm))
+    return actuator
+
+
+def is_pid(model: mujoco.MjModel, actuator: int) -> bool:
+    """Whether an actuator is MuJoCo's `pid`, whose `gainprm[0]` is ki."""
+    return int(model.actuator_gaintype[actuator]) == PID
+
+
+def passive_device(spec: mujoco.MjSpec, joint: str, kind: str) -> mujoco.MjsActuator:
+    """Add a device without input to a joint, `<joint>_<kind>`; give it its law with `set_to_dcmotor(ctrlspec=NO_INPUT)`."""
+    return spec.add_actuator(name=f"{joint}_{kind}", target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+
+
+def device(model: mujoco.MjModel, joint: str, kind: str) -> int:
+    """Number of the actuator that `passive_device` added."""
+    return int(model.actuator(f"{joint}_{kind}").id)
+
+
+def driven_joints(spec: mujoco.MjSpec) -> list[str]:
+    """Names of the joints that take commands."""
+    driven = [a.target for a in spec.actuators if a.gaintype != mujoco.mjtGain.mjGAIN_DCMOTOR]
+    names = {joint.name for joint in spec.joints}
+    links = [name.removesuffix(MOTOR_SUFFIX) for name in driven]
+    return [link if link in names else name for link, name in zip(links, driven, strict=True)]

@@ -1,0 +1,215 @@
+"""Contracts of every effect, run on each entry of the catalog without being told."""
+
+from functools import cache
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from edream import catalog
+from edream.core.effect import Effect
+from edream.core.episode import Episode
+from edream.sim.robot import RobotModel, load_robot
+from edream.sim.rollout import rollout, whole
+from edream.sim.simulation import Placement, SimulatedRobot
+
+ROBOTS = Path(__file__).resolve().parents[2] / "edream" / "robots"
+NAMES = catalog.names("effects")
+# Structure that is there even where the effect is not: a rotor behind a lock that is stiff, not rigid; a bristle; a filter of no length.
+ALMOST = {
+    "compliance": 5e-4,
+    "backlash": 5e-4,
+    "presliding": 1e-6,
+    "actuator_lag": 1e-6,
+    "actuator_delay": 1e-6,
+    "sensor_delay": 1e-6,
+}
+# Absolute numbers of the published model that some motions of this test cannot reproduce bit by bit in another place.
+MOVED = {"viscous": 1e-6, "slew_limit": 1e-9, "integral_action": 1e-9, "constant_torque": 1e-9}
+SLED = """
+<mujoco model="sled">
+  <compiler angle="radian"/>
+  <option timestep="0.002" integrator="implicitfast"/>
+  <worldbody>
+    <geom name="floor" type="plane" size="2 2 0.1" friction="1 0.005 0.0001"/>
+    <body name="sled" pos="0 0 0.05">
+      <joint name="push" type="slide" axis="1 0 0" damping="1" frictionloss="0.1"/>
+      <joint name="up" type="slide" axis="0 0 1"/>
+      <geom name="box" type="box" size="0.05 0.05 0.05" mass="1" friction="0.5 0.005 0.0001"/>
+    </body>
+  </worldbody>
+  <actuator><position name="push" joint="push" kp="100" kv="5"/></actuator>
+</mujoco>
+"""
+
+
+@cache
+def robot(name: str) -> RobotModel:
+    return RobotModel("sled", SLED) if name == "sled" else load_robot(ROBOTS / f"{name}.xml", site="ee")
+
+
+@cache
+def episode(name: str, seconds: float = 1.6) -> Episode:
+    """Smooth moves, one fast reversal and a hold, of every joint within the middle of its range."""
+    one = robot(name)
+    model = one.model
+    times = np.arange(0.0, seconds, 0.02)
+    command = np.empty((len(times), len(one.joints)))
+    for column, joint in enumerate(one.joints):
+        low, high = model.joint(joint).range if model.joint(joint).limited[0] else (-0.5, 0.5)
+        middle, reach = 0.5 * (low + high), min(0.5, 0.3 * (high - low))
+        wave = np.sin(2 * np.pi * (0.9 + 0.1 * column) * times) + 0.15 * np.sign(np.sin(2 * np.pi * 0.6 * times + column))
+        command[:, column] = middle + 0.2 * reach + reach * np.where(times < 0.75 * seconds, wave, 0.4)
+    position = np.repeat(command[:1], len(times), axis=0)
+    return Episode("moves", one.joints, times, position, times, command)
+
+
+def home(effect: Effect) -> tuple[str, tuple[str, ...], tuple[str, ...]]:
+    """A robot, a first place and a second place for an effect."""
+    return {
+        "joint": ("pan_tilt", ("tilt",), ("pan",)),
+        "pair": ("pan_tilt", ("tilt<-pan",), ("pan<-tilt",)),
+        "body": ("pan_tilt", ("head",), ("yoke",)),
+        "world": ("pan_tilt", (), ()),
+        "geom": ("sled", ("box",), ("floor",)),
+    }[effect.place]
+
+
+def load(name: str) -> Effect:
+    return catalog.load("effects", name, Effect)
+
+
+def nuisance(name: str) -> tuple[Placement, ...]:
+    """Dry friction that holds on every joint, as every calibrated robot has it."""
+    return tuple(Placement(load("coulomb"), (joint,)) for joint in robot(name).joints)
+
+
+def placed(effect: Effect, *targets: tuple[str, ...], where: str) -> SimulatedRobot:
+    extra = tuple(Placement(effect, one) for one in targets)
+    base = tuple(p for p in nuisance(where) if not (effect.name == "coulomb" and p.targets in targets))
+    return SimulatedRobot(robot(where), base + extra)
+
+
+def play(simulated: SimulatedRobot, values: np.ndarray, where: str) -> np.ndarray:
+    return rollout(simulated, values, whole([episode(where)]), threads=1)[0]
+
+
+def unit_starts(simulated: SimulatedRobot) -> np.ndarray:
+    return simulated.space.start()
+
+
+@cache
+def without(where: str) -> np.ndarray:
+    simulated = SimulatedRobot(robot(where), nuisance(where))
+    return play(simulated, simulated.space.start(), where)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_an_effect_says_what_it_is(name: str) -> None:
+    effect = load(name)
+    assert effect.summary and effect.summary[0].islower() and not effect.summary.endswith(".")
+    assert set(effect.confusable) <= set(NAMES) - {name}
+    document = type(effect).__doc__ or ""
+    assert "Source:" in document and "Parameter" in document
+    assert "=" in document or "<=" in document
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_an_absent_effect_leaves_the_motion_alone(name: str) -> None:
+    effect = load(name)
+    where, target, _ = home(effect)
+    simulated = placed(effect, target, where=where)
+    parameters = simulated.space.parameters
+    start = simulated.space.start()
+    for p in parameters[len(nuisance(where)) :]:
+        assert p.absent is None or p.absent == p.start or p.start > p.absent >= p.low, (
+            f"{p.name} starts neither absent nor as published"
+        )
+    gap = np.abs(play(simulated, start, where) - without(where)).max()
+    allowed = ALMOST.get(name, MOVED.get(name, 0.0))
+    assert gap <= allowed, f"{name} at its start moves the robot by {gap:.2e} rad"
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_parameter_of_an_effect_moves_the_robot(name: str) -> None:
+    effect = load(name)
+    where, target, _ = home(effect)
+    simulated = placed(effect, target, where=where)
+    own = [p for p in simulated.space.parameters if p.name.startswith(name + ".")]
+    quantities = [p.name.removeprefix(name + ".").partition("[")[0] for p in own]
+    present = effect.probes(robot(where).model, target)[0]
+    for p, quantity in zip(own, quantities, strict=True):
+        sets = []
+        for unit in (0.05, 0.35, 0.65, 0.95):
+            values = dict(zip(simulated.space.names, simulated.space.start(), strict=True))
+            values |= {
+                one.name: 4.0 * present[q] if one.absent == 0.0 else present[q] for one, q in zip(own, quantities, strict=True)
+            }
+            values = {one.name: float(np.clip(values[one.name], one.low, one.high)) for one in simulated.space.parameters}
+            alone = simulated.space.subset([p.name])
+            values[p.name] = float(alone.from_unit(np.array([unit]))[0])
+            sets.append(simulated.space.vector(values))
+        motions = play(simulated, np.array(sets), where)
+        moved = np.abs(motions - motions[0]).max()
+        assert moved > 1e-6, f"{name}.{quantity} is silently not applied: {moved:.1e} rad"
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_probe_is_inside_the_box_and_visible(name: str) -> None:
+    effect = load(name)
+    where, target, _ = home(effect)
+    simulated = placed(effect, target, where=where)
+    probes = effect.probes(robot(where).model, target)
+    by_quantity = {p.name: p for p in effect.parameters(robot(where).model, target)}
+    sets = []
+    for probe in probes:
+        assert set(probe) == set(by_quantity)
+        for quantity, value in probe.items():
+            assert by_quantity[quantity].low <= value <= by_quantity[quantity].high, f"{name}.{quantity} = {value}"
+        placement = Placement(effect, target)
+        values = dict(zip(simulated.space.names, simulated.space.start(), strict=True))
+        sets.append(simulated.space.vector(values | {placement.full_name(q): v for q, v in probe.items()}))
+    motions = play(simulated, np.array(sets), where)
+    gaps = np.abs(motions - without(where)).max(axis=(1, 2))
+    assert np.isfinite(motions).all()
+    assert (gaps > 1e-5).any(), f"no probe of {name} shows: {gaps}"
+
+
+@pytest.mark.parametrize(
+    ("name", "where"), [(n, w) for n in NAMES for w in ("pan_tilt", "arm6") if w == "pan_tilt" or load(n).place == "joint"]
+)
+def test_every_corner_of_the_box_is_finite(name: str, where: str) -> None:
+    effect = load(name)
+    if where == "arm6":
+        target: tuple[str, ...] = ("joint5",)
+    else:
+        where, target, _ = home(effect)
+    simulated = placed(effect, target, where=where)
+    own = [i for i, p in enumerate(simulated.space.parameters) if p.name.startswith(name + ".")]
+    start = simulated.space.to_unit(simulated.space.start())
+    corners = list(product((0.0, 1.0), repeat=len(own))) if len(own) <= 3 else [*np.eye(len(own)), *(1.0 - np.eye(len(own)))]
+    sets = np.repeat(start[None], len(corners), axis=0)
+    sets[:, own] = corners
+    motions = play(simulated, simulated.space.from_unit(sets), where)
+    bad = ~np.isfinite(motions).all(axis=(1, 2))
+    assert not bad.any(), f"{name} is unstable at {simulated.space.from_unit(sets)[bad][:, own].tolist()}"
+    assert np.abs(motions).max() < 50.0
+
+
+@pytest.mark.parametrize("name", [n for n in NAMES if load(n).place != "world"])
+def test_an_effect_stacks_on_two_places(name: str) -> None:
+    effect = load(name)
+    where, first, second = home(effect)
+    probe = effect.probes(robot(where).model, first)[-1]
+    both = placed(effect, first, second, where=where)
+    values = dict(zip(both.space.names, both.space.start(), strict=True))
+    on_first = values | {Placement(effect, first).full_name(q): v for q, v in probe.items()}
+    alone = placed(effect, first, where=where)
+    kept = {n: on_first[n] for n in alone.space.names}
+    gap = np.abs(play(both, both.space.vector(on_first), where) - play(alone, alone.space.vector(kept), where)).max()
+    assert gap <= max(1e-9, ALMOST.get(name, MOVED.get(name, 0.0))), (
+        f"{name} on {second} at its start changes {first}: {gap:.1e} rad"
+    )
+    shared = SimulatedRobot(robot(where), (*nuisance(where), Placement(effect, first + second))) if name != "coulomb" else both
+    assert np.isfinite(play(shared, shared.space.start(), where)).all()
