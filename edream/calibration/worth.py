@@ -104,7 +104,7 @@ def worth_of(
 
 
 def _block_scores(parts: Sequence[np.ndarray], residual: np.ndarray, slope: np.ndarray, lasting: float) -> np.ndarray:
-    """Gradient of the loss summed over each block: a window where there are enough, else stretches thrice as long as errors last."""
+    """Gradient of the loss summed over each block: a window where there are enough, else stretches longer than errors last."""
     total = sum(len(part) for part in parts)
     longest = max(len(part) for part in parts)
     length = longest if len(parts) >= BLOCKS else max(int(np.ceil(3 * lasting)), total // BLOCKS, 1)

@@ -38,7 +38,7 @@ class FitSettings(SpaceSettings):
     loss: Literal["joint", "end_effector"] = "joint"
     rotation: Literal["geodesic", "arcsin"] = "geodesic"
     stretch: float = 10.0
-    seconds: float = 600.0
+    seconds: float = 400.0
     rate: float = 25.0
     search: FitterOptions = field(default_factory=FitterOptions)
 
