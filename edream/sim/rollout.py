@@ -154,6 +154,7 @@ class _Replay:
                     qpos[rows, self.model.jnt_qposadr[twin]] = position
                     qvel[rows, self.model.jnt_dofadr[twin]] = speed
             _start_actuators(self.batch, self.model, self.index, rows, window, self.step)
+            self.batch.bind("ctrl")[rows, self.ctrl_columns] = self.commands[number][0]
         if self.hooks is not None or self.record == "sensordata":
             self.batch.forward()
 

@@ -1,0 +1,179 @@
+"""The hook file: what an MJCF cannot say, as a few lines of Python that need numpy and MuJoCo alone."""
+
+import inspect
+import textwrap
+from collections.abc import Mapping, Sequence
+
+import mujoco
+import numpy as np
+
+from edream.sim.simulation import SimulatedRobot, late_last
+
+STATEFUL = "MuJoCo starts filters and delays at zero; this file starts them at the command that holds."
+
+HEAD = '''"""{title}
+
+Plain loop:   step = make(model)
+              for each step: data.ctrl[:] = command; step(model, data); mujoco.mj_step(model, data)
+Many at once: step = make_batch(batch)   # a mujoco.batch.Batch of this model
+              for each step: set ctrl; step(); batch.step()
+
+Call it after ctrl is set and before each step. It owns model.dof_frictionloss and data.qfrc_applied.
+{stateful}
+"""
+
+import mujoco
+import numpy as np
+
+'''
+
+BODY = '''
+
+# law, where it acts, with which numbers
+CALLS = {calls}
+
+
+class One:
+    """One MjData, seen as a batch of one."""
+
+    def __init__(self, model, data):
+        self.time = np.array([data.time])
+        self.qpos, self.qvel, self.ctrl = data.qpos[None], data.qvel[None], data.ctrl[None]
+        self.qfrc_bias, self.actuator_force = data.qfrc_bias[None], data.actuator_force[None]
+        self.gain = -model.actuator_biasprm[None, :, 1]
+        self.friction, self.torque = model.dof_frictionloss[None], data.qfrc_applied[None]
+
+
+class Many:
+    """A mujoco.batch.Batch: the same names, one row a simulation."""
+
+    def __init__(self, batch):
+        bind = batch.bind
+        self.clock, self.bias = bind("time"), batch.expand("actuator_biasprm")
+        self.qpos, self.qvel, self.ctrl = bind("qpos"), bind("qvel"), bind("ctrl")
+        self.qfrc_bias, self.actuator_force = bind("qfrc_bias"), bind("actuator_force")
+        self.friction, self.torque = batch.expand("dof_frictionloss"), bind("qfrc_applied")
+
+    @property
+    def time(self):
+        return self.clock.reshape(len(self.clock))
+
+    @property
+    def gain(self):
+        return -self.bias[:, :, 1]
+
+
+def addresses(model, joint):
+    """Where a joint, the actuator that drives it and that actuator's motor lie in MuJoCo's arrays."""
+    link, drives = model.joint(joint).id, [i for i in range(model.njnt) if model.joint(i).name in (joint, joint + "_motor")]
+    for actuator in range(model.nactuator):
+        motor = model.actuator_trnid[actuator, 0]
+        if model.actuator_trntype[actuator] in (0, 1) and motor in drives and model.actuator_ctrlnum[actuator]:
+            return {{
+                "joint": link,
+                "dof": model.jnt_dofadr[link],
+                "qpos": model.jnt_qposadr[link],
+                "actuator": actuator,
+                "ctrl": model.actuator_ctrladr[actuator],
+                "force": model.actuator_outadr[actuator],
+                "drive": model.jnt_dofadr[motor],
+                "drive_qpos": model.jnt_qposadr[motor],
+            }}
+    raise ValueError(f"no actuator drives joint {{joint!r}}")
+
+
+def calls(model):
+    """Every law with its addresses in this model."""
+    out = []
+    for law, place, values in CALLS:
+        first, _, second = place.partition("<-")
+        index = addresses(model, first) if first else {{}}
+        if second:
+            index |= {{"other_" + key: value for key, value in addresses(model, second).items()}}
+        out.append((law, index, values))
+    return out
+
+
+def apply(state, base, laws):
+    """Friction and torque of this step."""
+    state.friction[:] = base
+    state.torque[:] = 0.0
+    for law, index, values in laws:
+        law(state, index, values)
+
+
+def begin(model, data):
+    """Start filters at the command, delays with it, and derived quantities at the current state."""
+    for actuator in range(model.nactuator):
+        if not model.actuator_ctrlnum[actuator]:
+            continue
+        command, dynamics = data.ctrl[model.actuator_ctrladr[actuator]], model.actuator_dyntype[actuator]
+        filters = (mujoco.mjtDyn.mjDYN_FILTER, mujoco.mjtDyn.mjDYN_FILTEREXACT)
+        slew = dynamics == mujoco.mjtDyn.mjDYN_PID and model.actuator_dynprm[actuator, 1] > 0.0
+        if dynamics in filters or slew:
+            data.act[model.actuator_actadr[actuator]] = command
+        samples = model.actuator_history[actuator, 0]
+        if samples:
+            values = model.actuator_historyadr[actuator] + 2 + samples
+            data.history[values : values + samples] = command
+    for sensor in range(model.nsensor):
+        samples = model.sensor_history[sensor, 0]
+        if samples and model.sensor_type[sensor] == mujoco.mjtSensor.mjSENS_JOINTPOS:
+            values = model.sensor_historyadr[sensor] + 2 + samples
+            data.history[values : values + samples] = data.qpos[model.jnt_qposadr[model.sensor_objid[sensor]]]
+    mujoco.mj_forward(model, data)
+
+
+def make(model):
+    """A function step(model, data) to be called before each mujoco.mj_step."""
+    laws, base, last = calls(model), model.dof_frictionloss.copy(), [np.inf]
+
+    def step(model, data):
+        if data.time < last[0] or data.time == 0.0:
+            begin(model, data)
+        last[0] = data.time
+        apply(One(model, data), base, laws)
+
+    return step
+
+
+def make_batch(batch):
+    """A function step() to be called before each batch.step(), for simulations of one model that have been started."""
+    state, laws = Many(batch), calls(batch.get_model(0))
+    base = state.friction.copy()
+    return lambda: apply(state, base, laws)
+'''
+
+
+def hook_text(simulated: SimulatedRobot, numbers: Sequence[Mapping[str, np.ndarray]], model: mujoco.MjModel) -> str | None:
+    """The hook file of a robot with values, or None where a plain loop needs none.
+
+    A model without hooks gets one too where a filter or delay must begin at the first command: MuJoCo begins them at zero.
+
+    Args:
+        simulated: the robot and its effects.
+        numbers: each placement's quantities, (1,) each.
+        model: the emitted model, compiled.
+    """
+    pairs = [(p, values) for p, values in late_last(zip(simulated.placements, numbers, strict=True)) if p.effect.hook is not None]
+    delayed = bool(model.actuator_history[:, 0].any() or (model.nsensor and model.sensor_history[:, 0].any()))
+    filtered = bool(np.isin(model.actuator_dyntype[model.actuator_ctrlnum > 0], (2, 3, int(mujoco.mjtDyn.mjDYN_PID))).any())
+    if not pairs and not delayed and not filtered:
+        return None
+    sources, rows = {}, []
+    for placement, values in pairs:
+        hook = placement.effect.hook
+        sources[hook.__name__] = _plain(inspect.getsource(hook))
+        listed = "{" + ", ".join(f'"{name}": {float(value[0])!r}' for name, value in values.items()) + "}"
+        rows += [f'({hook.__name__}, "{target}", {listed})' for target in placement.targets or ("",)]
+    title = f"What an MJCF cannot say of {simulated.robot.name}: {', '.join(sources) or 'where its filters and delays begin'}."
+    calls = "[\n" + "".join(f"    {row},\n" for row in rows) + "]" if rows else "[]"
+    head = HEAD.format(title=title, stateful=STATEFUL if delayed or filtered else "").replace('\n\n"""', '\n"""')
+    return head + "\n\n".join(sources[name] for name in sorted(sources)) + BODY.format(calls=calls)
+
+
+def _plain(source: str) -> str:
+    """A hook's source without its type annotations, which name edream's types."""
+    source = textwrap.dedent(source)
+    first, _, rest = source.partition("\n")
+    return f"\n{first.partition('(')[0]}(state, index, values):\n{rest}"

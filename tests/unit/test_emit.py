@@ -1,0 +1,108 @@
+"""The emitted model, replayed in stock MuJoCo without edream, moves as the simulation that was judged."""
+
+import importlib.util
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from edream import catalog
+from edream.core.effect import Effect
+from edream.core.episode import Episode
+from edream.sim.emit import emit
+from edream.sim.robot import load_robot
+from edream.sim.rollout import rollout, whole
+from edream.sim.simulation import Placement, SimulatedRobot
+
+NAMES = [name for name in catalog.names("effects") if name != "contact_friction"]
+ROBOT = load_robot(Path(__file__).resolve().parents[2] / "edream" / "robots" / "pan_tilt.xml", site="ee")
+PLACES = {"joint": ("tilt",), "pair": ("tilt<-pan",), "body": ("head",), "world": ()}
+
+
+def motion() -> Episode:
+    times = np.arange(0.0, 2.0, 0.0201)
+    command = np.stack([0.5 * np.sin(5.0 * times) + 0.1, 0.4 * np.sin(7.3 * times) - 0.3 + 0.2 * (times > 1.0)], axis=1)
+    return Episode("moves", ROBOT.joints, times, np.repeat(command[:1], len(times), axis=0), times, command)
+
+
+def with_effect(name: str) -> tuple[SimulatedRobot, dict[str, float]]:
+    """The pan-tilt with odd friction and gain, and a visible version of one effect."""
+    effect = catalog.load("effects", name, Effect)
+    base = [Placement(catalog.load("effects", n, Effect), (j,)) for n in ("coulomb", "servo_gain") for j in ROBOT.joints]
+    own = Placement(effect, PLACES[effect.place])
+    base = [p for p in base if (p.effect.name, p.targets) != (name, own.targets)]
+    simulated = SimulatedRobot(ROBOT, (*base, own))
+    values = dict(zip(simulated.space.names, simulated.space.start() * 1.0123456789012, strict=True))
+    values |= {own.full_name(q): v for q, v in effect.probes(ROBOT.model, own.targets)[-1].items()}
+    return simulated, values
+
+
+def stock(model: mujoco.MjModel, hook: object, episode: Episode) -> np.ndarray:
+    """A plain loop as anyone would write it: hold commands, step, interpolate at the measured times."""
+    data = mujoco.MjData(model)
+    joints = [model.joint(name) for name in episode.joints]
+    for joint, position in zip(joints, episode.position[0], strict=True):
+        data.qpos[joint.qposadr] = position
+        twin = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, joint.name + "_motor")
+        if twin >= 0:
+            data.qpos[model.jnt_qposadr[twin]] = position
+    step = hook.make(model) if hook else None
+    grid = [np.array([data.qpos[joint.qposadr[0]] for joint in joints])]
+    sensed = [None]
+    for k in range(int(np.ceil(episode.times[-1] / model.opt.timestep)) + 1):
+        row = np.searchsorted(episode.command_times, k * model.opt.timestep + 1e-9, side="right") - 1
+        data.ctrl[:] = episode.command[row]
+        if step:
+            step(model, data)
+        mujoco.mj_step(model, data)
+        grid.append(np.array([data.qpos[joint.qposadr[0]] for joint in joints]))
+        if model.nsensor:
+            sensed.append(np.array([data.sensor(name + "_measured").data[0] for name in episode.joints]))
+    if model.nsensor:
+        grid = sensed[1:]  # a sensor describes the state before the step
+    clock = model.opt.timestep * np.arange(len(grid))
+    return np.stack([np.interp(episode.times, clock, np.array(grid)[:, j]) for j in range(len(joints))], axis=1)
+
+
+def loaded(text: str | None, folder: Path) -> object:
+    if text is None:
+        return None
+    path = folder / "hook.py"
+    path.write_text(text)
+    spec = importlib.util.spec_from_file_location("hook_under_test", path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_stock_mujoco_replays_the_emitted_model_as_edream_does(name: str, tmp_path: Path) -> None:
+    simulated, values = with_effect(name)
+    made = emit(simulated, values)
+    (tmp_path / "model.xml").write_text(made.mjcf)
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "model.xml"))
+    episode = motion()
+    ours = rollout(simulated, simulated.space.vector(values)[None], whole([episode]), threads=1)[0][0]
+    theirs = stock(model, loaded(made.hook, tmp_path), episode)
+    assert np.abs(ours - theirs).max() < 1e-6, f"{name}: {np.abs(ours - theirs).max():.1e} rad"
+    if simulated.has_hooks:
+        assert "import edream" not in made.hook and "State" not in made.hook
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_an_emitted_model_loads_again_as_the_same_robot(name: str, tmp_path: Path) -> None:
+    simulated, values = with_effect(name)
+    made = emit(simulated, values)
+    (tmp_path / "model.xml").write_text(made.mjcf)
+    again = load_robot(tmp_path / "model.xml", site="ee")
+    assert again.joints == ROBOT.joints
+    assert emit(simulated, values) == made
+
+
+def test_the_difference_shows_what_changed_and_nothing_else() -> None:
+    simulated = SimulatedRobot(ROBOT, (Placement(catalog.load("effects", "quadratic_drag", Effect), ("tilt",)),))
+    difference = emit(simulated, {simulated.space.names[0]: 0.0123456789}).difference
+    changed = [line for line in difference.splitlines() if line[:1] in "+-" and line[:3] not in ("+++", "---")]
+    assert len(changed) == 2
+    assert "0.0123456789" in changed[1] and 'name="tilt"' in changed[1]
