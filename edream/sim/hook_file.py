@@ -107,9 +107,9 @@ def begin(model, data):
     for actuator in range(model.nactuator):
         if not model.actuator_ctrlnum[actuator]:
             continue
-        command, dynamics = data.ctrl[model.actuator_ctrladr[actuator]], model.actuator_dyntype[actuator]
-        filters = (mujoco.mjtDyn.mjDYN_FILTER, mujoco.mjtDyn.mjDYN_FILTEREXACT)
-        slew = dynamics == mujoco.mjtDyn.mjDYN_PID and model.actuator_dynprm[actuator, 1] > 0.0
+        command, dynamics = data.ctrl[model.actuator_ctrladr[actuator]], int(model.actuator_dyntype[actuator])
+        filters = (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT))
+        slew = dynamics == int(mujoco.mjtDyn.mjDYN_PID) and model.actuator_dynprm[actuator, 1] > 0.0
         if dynamics in filters or slew:
             data.act[model.actuator_actadr[actuator]] = command
         samples = model.actuator_history[actuator, 0]
@@ -118,7 +118,7 @@ def begin(model, data):
             data.history[values : values + samples] = command
     for sensor in range(model.nsensor):
         samples = model.sensor_history[sensor, 0]
-        if samples and model.sensor_type[sensor] == mujoco.mjtSensor.mjSENS_JOINTPOS:
+        if samples and model.sensor_type[sensor] == int(mujoco.mjtSensor.mjSENS_JOINTPOS):
             values = model.sensor_historyadr[sensor] + 2 + samples
             data.history[values : values + samples] = data.qpos[model.jnt_qposadr[model.sensor_objid[sensor]]]
     mujoco.mj_forward(model, data)

@@ -28,7 +28,7 @@ def add_rotor(spec: mujoco.MjSpec, joint: str) -> mujoco.MjsTendon:
             return tendon
     link = spec.joint(joint)
     carrier = link.parent.parent.add_body(name=motor, pos=link.parent.pos, quat=link.parent.quat, mass=1e-6, inertia=[1e-9] * 3)
-    carrier.explicitinertial = True
+    carrier.explicitinertial, carrier.ipos = True, np.zeros(3)  # MuJoCo writes no inertial without a place
     for kind in ("axisangle", "xyaxes", "zaxis", "euler", "type"):
         setattr(carrier.alt, kind, getattr(link.parent.alt, kind))
     rotor = carrier.add_joint(name=motor, type=link.type, pos=link.pos, axis=link.axis, ref=link.ref)
