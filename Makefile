@@ -6,7 +6,7 @@ NODE := .venv-node
 DEMO := runs/reproduce
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: reproduce test slow check check-lerobot check-mcap clean
+.PHONY: reproduce test slow check check-lerobot check-mcap blind blind-slice clean
 
 # A make-believe robot is recorded, its recordings ingested, its simulator calibrated; called again, it finds what is there.
 reproduce: .venv/ready
@@ -57,6 +57,14 @@ $(NODE)/ready:
 	mkdir -p $(NODE)
 	npm install --silent --prefix $(NODE) @mcap/core@2.2.2 @mcap/support@1.1.0 @mcap/nodejs@1.0.2
 	touch $@
+
+# Words for the blind tests, such as BLIND="--robots pan_tilt --seeds 1 --baselines"; finished cases are kept under runs/blind.
+BLIND ?= --seeds 3
+blind: .venv/ready
+	$(RUN)/python -m benchmarks.blind $(BLIND)
+
+blind-slice: .venv/ready
+	$(RUN)/python -m pytest -q tests/blind
 
 clean:
 	rm -rf .venv .venv-lerobot .venv-node runs/peers runs/reproduce

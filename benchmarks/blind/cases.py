@@ -1,0 +1,121 @@
+"""Which effects are hidden on which robot, and recording them: the only part of the blind tests that knows the truth beforehand."""
+
+import hashlib
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from edream.core.errors import unknown_name
+from edream.reality.effects import KINDS
+from edream.record import RecordConfig, record, truth_path
+from edream.sim.robot import RobotModel, load_robot
+
+ROOT = Path(__file__).resolve().parents[2]
+SORTS = ("none", "single", "foreign", "pair")
+SITES = {"arm6": "ee", "pan_tilt": "ee", "so101": "gripperframe"}
+FEWEST_EMPTY = 5
+PAIRS = (
+    ("load_friction", "actuator_delay"),
+    ("stribeck", "payload"),
+    ("backlash", "constant_torque"),
+    ("actuator_lag", "asymmetric_coulomb"),
+    ("joint_compliance", "load_friction"),
+    ("cogging", "actuator_delay"),
+    ("torque_saturation", "parallel_spring"),
+    ("dead_zone", "gravity_tilt"),
+    ("quadratic_drag", "sensor_delay"),
+    ("slew_limit", "position_friction"),
+)
+
+Sort = Literal["none", "single", "foreign", "pair"]
+
+
+@dataclass(frozen=True)
+class Case:
+    """One blind test.
+
+    Attributes:
+        robot: which robot.
+        effects: what is hidden.
+        seed: of the truth, the motions and the noise.
+        sort: what is asked for.
+    """
+
+    robot: str
+    effects: tuple[str, ...]
+    seed: int
+    sort: Sort
+
+    @property
+    def name(self) -> str:
+        return f"{self.robot}/{'+'.join(self.effects) or 'none'}/{self.seed}"
+
+    @property
+    def code(self) -> str:
+        """A folder name that says nothing."""
+        return hashlib.sha256(self.name.encode()).hexdigest()[:12]
+
+
+@dataclass(frozen=True)
+class Session:
+    """How long each recording session is: number of motions and their length [s]."""
+
+    motions: int = 12
+    seconds: float = 10.0
+
+
+def cases(robots: Sequence[str], sorts: Sequence[str], seeds: int, only: Sequence[str] = ()) -> list[Case]:
+    """Every case, one seed after the other and robots in turn, so that a run cut short has seen a bit of everything.
+
+    Args:
+        robots: names from `SITES`.
+        sorts: names from `SORTS`.
+        seeds: how many seeds; cases without effect get at least five.
+        only: effects to keep (a pair is kept where both are), or empty for all.
+
+    Raises:
+        EdreamError: a name does not exist.
+    """
+    for what, given, known in (("robot", robots, SITES), ("sort of case", sorts, SORTS), ("hidden effect", only, KINDS)):
+        for name in given:
+            if name not in known:
+                raise unknown_name(what, name, known)
+    hidden: dict[Sort, list[tuple[str, ...]]] = {
+        "none": [()],
+        "single": [(name,) for name, kind in KINDS.items() if not kind.foreign],
+        "foreign": [(name,) for name, kind in KINDS.items() if kind.foreign],
+        "pair": list(PAIRS),
+    }
+    out = []
+    for seed in range(max(seeds, FEWEST_EMPTY if "none" in sorts else 0)):
+        for sort in SORTS:
+            if sort in sorts and (seed < seeds or sort == "none"):
+                chosen = [e for e in hidden[sort] if not only or (set(e) <= set(only) and e)]
+                out += [Case(robot, effects, seed, sort) for effects in chosen for robot in robots]
+    return out
+
+
+def robot_of(name: str) -> RobotModel | None:
+    """A robot's nominal model; None for one that comes with the measurements where those are not here."""
+    if name == "so101":
+        folder = Path(os.environ.get("EDREAM_SHARED_DATA") or ROOT.parent / "shared" / "data")
+        path = folder / "so101" / "so101.xml"
+        return load_robot(path, site=SITES[name]) if path.is_file() else None
+    return load_robot(ROOT / "edream" / "robots" / f"{name}.xml", site=SITES[name])
+
+
+def record_case(case: Case, robot: RobotModel, folder: Path, session: Session) -> tuple[Path, Path]:
+    """Record one case: recordings under `folder/made`, the truth about them sealed under `folder/truth`; once only.
+
+    Returns:
+        The data set and the sealed truth.
+    """
+    data, sealed = folder / "made" / case.code, folder / "truth" / f"{case.code}.json"
+    if not sealed.exists():
+        config = RecordConfig(data, case.effects, format="lerobot_v3", motions=session.motions, seconds=session.seconds)
+        record(robot, config, seed=case.seed)
+        sealed.parent.mkdir(parents=True, exist_ok=True)
+        truth_path(data).rename(sealed)
+    return data, sealed

@@ -1,0 +1,153 @@
+"""Phases 1 and 2 of one case: record here, diagnose in a process that gets a copy of the recordings and nothing else."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from time import monotonic
+from typing import Any
+
+from benchmarks.blind.cases import ROOT, Case, Session, record_case, robot_of
+from benchmarks.blind.score import score
+from edream.core.errors import EdreamError
+from edream.reality.truth import unseal
+from edream.sim.robot import RobotModel
+
+LONGEST = 1800.0  # s; a diagnosis that takes longer counts as failed
+
+
+def run_case(case: Case, robot: RobotModel, folder: Path, session: Session, baselines: bool = False) -> dict[str, Any]:
+    """Record a case where that is not done, and diagnose it blindfolded.
+
+    Returns:
+        What the diagnosis wrote, or {"failed": the end of what it said}.
+    """
+    data, _ = record_case(case, robot, folder, session)
+    with tempfile.TemporaryDirectory(prefix="blind-") as name:
+        place = Path(name)
+        shutil.copytree(data, place / "recordings")
+        write_robot(robot, place / "robot")
+        out = place / "result.json"
+        given = [str(place / "robot" / "robot.xml"), str(place / "recordings"), str(out)]
+        words = [sys.executable, "-m", "benchmarks.blind.explain", *given, *(["--baselines"] if baselines else [])]
+        environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}
+        try:
+            done = subprocess.run(words, cwd=place, env=environment, capture_output=True, text=True, timeout=LONGEST, check=False)
+        except subprocess.TimeoutExpired:
+            return {"failed": f"more than {LONGEST:.0f} s"}
+        if done.returncode:
+            return {"failed": done.stderr.strip()[-2000:]}
+        return json.loads(out.read_text(encoding="utf-8"))
+
+
+def write_robot(robot: RobotModel, folder: Path) -> None:
+    """A nominal model as a user has it: `robot.xml` and its meshes."""
+    folder.mkdir()
+    (folder / "robot.xml").write_text(robot.mjcf, encoding="utf-8")
+    for name, content in robot.assets.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(content)
+
+
+def finished(path: Path, session: Session) -> dict[str, dict[str, Any]]:
+    """Results kept so far by case name; the last line of a case counts, a line cut short by a killed run does not."""
+    kept: dict[str, dict[str, Any]] = {}
+    for line in path.read_text(encoding="utf-8").splitlines() if path.exists() else []:
+        try:
+            one = json.loads(line)
+        except json.JSONDecodeError:
+            continue
+        if one["session"] == [session.motions, session.seconds]:
+            kept[one["case"]] = one
+    return kept
+
+
+def run_cases(
+    chosen: Sequence[Case],
+    folder: Path,
+    session: Session,
+    *,
+    minutes: float = float("inf"),
+    jobs: int = 1,
+    baselines: bool = False,
+    fresh: bool = False,
+    say: Callable[[str], None] = print,
+) -> dict[str, dict[str, Any]]:
+    """Run what is not done yet, keep each result as it comes, and return all results of the chosen cases by name."""
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / "results.jsonl"
+    kept = {} if fresh else finished(path, session)
+    robots = {name: robot_of(name) for name in dict.fromkeys(case.robot for case in chosen)}
+    for name in [name for name, robot in robots.items() if robot is None]:
+        say(f"{name} is left out: its model comes with the measurements, which are not here (EDREAM_SHARED_DATA).")
+    todo = [c for c in chosen if robots[c.robot] is not None and not _done(kept.get(c.name), baselines)]
+    say(f"{len(chosen)} cases, {len(todo)} to do")
+    end = monotonic() + 60.0 * minutes
+
+    def one(case: Case) -> None:
+        robot = robots[case.robot]
+        if monotonic() > end or robot is None:
+            return
+        result = run_case(case, robot, folder, session, baselines)
+        line = {"case": case.name, "code": case.code, "session": [session.motions, session.seconds], "version": version(), **result}
+        with path.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(line) + "\n")
+        kept[case.name] = line
+        say(f"{case.name}: {summarise(case, robot, folder, line)}")
+
+    with ThreadPoolExecutor(jobs) as pool:
+        list(pool.map(one, todo))
+    return {case.name: kept[case.name] for case in chosen if case.name in kept}
+
+
+def _done(result: Mapping[str, Any] | None, baselines: bool) -> bool:
+    return result is not None and "failed" not in result and (not baselines or "baselines" in result)
+
+
+def scored(case: Case, robot: RobotModel, folder: Path, result: Mapping[str, Any]) -> dict[str, Any]:
+    """Phase 3 for one case.
+
+    Raises:
+        EdreamError: the recordings were made of something else than the case says.
+    """
+    truth = unseal(folder / "truth" / f"{case.code}.json")
+    if tuple(h.name for h in truth.effects) != case.effects:
+        raise EdreamError(f"The truth of case {case.name} hides {[h.name for h in truth.effects]}; remove {folder} and run again.")
+    if "failed" in result:
+        hidden = [f"{h.name}[{'+'.join(h.targets)}]" for h in truth.effects]
+        return {
+            "case": case.name,
+            "sort": case.sort,
+            "robot": case.robot,
+            "hidden": hidden,
+            "expected": hidden,
+            "verdict": "failed",
+            "named": [],
+            "found": ["missed"] * len(hidden),
+            "right": False,
+            "closed": None,
+            "seconds": None,
+            "failed": result["failed"],
+        }
+    return score(case, truth, robot.model, result)
+
+
+def summarise(case: Case, robot: RobotModel, folder: Path, result: Mapping[str, Any]) -> str:
+    """One line about a finished case."""
+    row = scored(case, robot, folder, result)
+    if row["verdict"] == "failed":
+        return f"FAILED {row['failed'].splitlines()[-1] if row['failed'] else ''}"
+    mark = "right" if row["right"] else "WRONG"
+    hidden = ", ".join(row["hidden"]) or "nothing"
+    return f"{mark}, {row['verdict']} {', '.join(row['named'])} (hidden {hidden}), {row['seconds']:.0f} s"
+
+
+def version() -> str:
+    """The commit that made a result, with a plus where the tree differs from it."""
+    said = subprocess.run(["git", "describe", "--always", "--dirty=+"], cwd=ROOT, capture_output=True, text=True, check=False)
+    return said.stdout.strip() or "unknown"
