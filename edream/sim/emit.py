@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
+from jaxtyping import Float
 from mujoco import batch
 
 from edream.core.effect import MEASURED_SUFFIX
@@ -61,17 +62,23 @@ class EmittedModel:
     difference: str
 
 
-def emit(simulated: SimulatedRobot, values: Mapping[str, float], conditions: Mapping[str, float] | None = None) -> EmittedModel:
+def emit(
+    simulated: SimulatedRobot,
+    values: Mapping[str, float] | Float[np.ndarray, "P"],
+    conditions: Mapping[str, float] | None = None,
+) -> EmittedModel:
     """Write a robot with effects as plain MJCF, every number with all its digits.
 
     Args:
         simulated: the robot and its effects.
-        values: full parameter name -> value, for every parameter of `simulated.space`.
+        values: full parameter name -> value for every parameter of `simulated.space`, or the values in its order.
         conditions: known conditions to write it for; each at its reference where None.
 
     Raises:
         EdreamError: a value is missing, or a field that an effect writes has no place in an MJCF.
     """
+    if not isinstance(values, Mapping):
+        values = simulated.space.mapping(values)
     missing = [name for name in simulated.space.names if name not in values]
     if missing:
         raise EdreamError(f"No value for {', '.join(missing[:5])}; expected one for each of the {len(simulated.space)} parameters.")

@@ -1,6 +1,6 @@
 """The one door into MuJoCo: open-loop replay of recorded commands under many parameter sets at once."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -14,6 +14,7 @@ from edream.sim.hooks import batch_hooks
 from edream.sim.simulation import SimulatedRobot, write_fields
 
 CHUNK = 100
+BatchHook = Callable[[batch.Batch], Callable[[], None]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,6 +75,7 @@ def rollout(
     values: Float[np.ndarray, "N P"],
     windows: Sequence[Window],
     threads: int = 0,
+    hook: BatchHook | None = None,
 ) -> list[Float[np.ndarray, "N T J"]]:
     """Replay each window's commands under each parameter set, sampled at the measured times.
 
@@ -85,6 +87,7 @@ def rollout(
         values: parameter sets, in the order of `simulated.space`.
         windows: stretches to replay.
         threads: simulation threads; 0 for every core. The result does not depend on it.
+        hook: makes from the batch a function that is called before each step, as `make_batch` of a hook file does.
 
     Returns:
         For each window, positions [rad], (N, T of that window, J).
@@ -93,7 +96,7 @@ def rollout(
         EdreamError: a recording lacks a condition that scales a parameter.
     """
     values = np.atleast_2d(np.asarray(values, dtype=float))
-    return _run(simulated, np.broadcast_to(values, (len(windows), *values.shape)), windows, threads)
+    return _run(simulated, np.broadcast_to(values, (len(windows), *values.shape)), windows, threads, hook)
 
 
 def rollout_each(
@@ -103,11 +106,13 @@ def rollout_each(
     return [one[0] for one in _run(simulated, np.asarray(values, dtype=float)[:, None, :], windows, threads)]
 
 
-def _run(simulated: SimulatedRobot, values: np.ndarray, windows: Sequence[Window], threads: int) -> list[np.ndarray]:
+def _run(
+    simulated: SimulatedRobot, values: np.ndarray, windows: Sequence[Window], threads: int, hook: BatchHook | None = None
+) -> list[np.ndarray]:
     """Replay window w under each of the sets `values[w]`, (W, N, P)."""
     order = np.argsort([-window.times[-1] for window in windows], kind="stable")
     ordered = [windows[i] for i in order]
-    replay = _Replay(simulated, values[order], ordered, threads)
+    replay = _Replay(simulated, values[order], ordered, threads, hook)
     results = replay.run()
     out: list[np.ndarray] = [results[0]] * len(windows)
     for place, result in zip(order, results, strict=True):
@@ -118,7 +123,14 @@ def _run(simulated: SimulatedRobot, values: np.ndarray, windows: Sequence[Window
 class _Replay:
     """One batch of N x W simulations, stepped together; windows come longest first so that ended ones drop off."""
 
-    def __init__(self, simulated: SimulatedRobot, values: np.ndarray, windows: Sequence[Window], threads: int) -> None:
+    def __init__(
+        self,
+        simulated: SimulatedRobot,
+        values: np.ndarray,
+        windows: Sequence[Window],
+        threads: int,
+        hook: BatchHook | None = None,
+    ) -> None:
         self.windows, self.model = windows, simulated.model
         self.w, self.n = values.shape[:2]
         self.step = float(self.model.opt.timestep)
@@ -132,7 +144,8 @@ class _Replay:
         self._gains = _Servos(self.batch, self.model)
         write_fields(simulated, self.batch, numbers)
         self._gains.remember()
-        self.hooks = batch_hooks(simulated, self.batch, numbers, _begins(windows, self.n))
+        own = batch_hooks(simulated, self.batch, numbers, _begins(windows, self.n))
+        self.hooks = hook(self.batch) if hook is not None else own
         self.record, self.columns, self.lag = _measured(self.model, joints)
         self.samples = [window.times / self.step for window in windows]
         self.steps = [int(np.ceil(s[-1])) + self.lag for s in self.samples]
