@@ -2,10 +2,10 @@
 
     python benchmarks/bench_steps.py [--robot arm6|cobot] [--threads N] [--repeat N]
 
-The bare loop is `mujoco.rollout` (a C++ thread pool around mj_step) with the commands laid out beforehand and nothing asked
-of it but the states. The sweep simulates as many windows of the same length under as many parameter sets, and includes everything that it
-does for its table: fields per simulation, commands at their own times, restarts at measured states, sampling at measured times.
-Both are timed in turn, several times, and the medians are compared.
+The bare loop is `mujoco.rollout` (a C++ thread pool around mj_step) with the commands laid out beforehand. The sweep simulates as
+many windows of the same length under as many parameter sets, and includes everything that it does for its table: fields per
+simulation, commands at their own times, restarts at measured states, sampling at measured times. Both are timed in turn, several
+times, and the medians are compared.
 """
 
 import argparse

@@ -25,8 +25,8 @@ def check_moves(objective: Objective) -> None:
     if still:
         parameter = space.parameters[still[0]]
         raise EdreamError(
-            f"Parameter {parameter.name!r} moves nothing: from {parameter.low:g} to {parameter.high:g} {parameter.unit} no simulated "
-            "position of a joint that counts changes. Remove it from fit.effects, or record motions that need it."
+            f"Parameter {parameter.name!r} moves nothing: from {parameter.low:g} to {parameter.high:g} {parameter.unit} no "
+            "simulated position of a joint that counts changes. Remove it from fit.effects, or record motions that need it."
         )
 
 

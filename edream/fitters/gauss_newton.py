@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+from edream.calibration.polish import polish
 from edream.calibration.problem import FitResult, Fitter, Problem
 from edream.sim.least_squares import solve
 
@@ -26,7 +27,7 @@ class GaussNewton(Fitter):
             near = solve(few, iterations=options.iterations)
             start, near_simulations = near.values, few.simulations
             history.append(near.start_rms**2)
-        solution = solve(objective, start, iterations=options.polish if start is not None else options.iterations)
+        solution = polish(objective, start, options.polish if start is not None else options.iterations)
         cost = float(problem.cost(problem.space.to_unit(solution.values))[0])
         simulations = objective.simulations - before + near_simulations
         return FitResult(solution.values, cost, (*history, solution.start_rms**2, cost), simulations, solution.converged)

@@ -3,9 +3,9 @@
 import numpy as np
 
 from edream.calibration.descent import descend
+from edream.calibration.polish import polish
 from edream.calibration.problem import FitResult, Fitter, Problem
 from edream.core.errors import EdreamError
-from edream.sim.least_squares import solve
 
 STARTS = 6  # random starts of the descent; they run as one batch
 AROUND = 0.12  # of the box: where parameter sets are drawn for learning again
@@ -50,7 +50,7 @@ class SurrogateFit(Fitter):
                 extra += simulated
         costs = problem.cost(np.array(candidates))
         best = candidates[int(np.argmin(costs))]
-        polished = solve(problem.objective, space.from_unit(best), noise=problem.noise, iterations=problem.options.polish)
+        polished = polish(problem.objective, space.from_unit(best), problem.options.polish)
         cost = float(problem.cost(space.to_unit(polished.values))[0])
         facts["confirmed"] = [float(c) for c in costs]
         simulations = problem.objective.simulations - before + extra

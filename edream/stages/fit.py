@@ -1,7 +1,7 @@
 """Fit: the parameters that make the simulator move as the robot did, what they are worth, and the calibrated model."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -22,6 +22,7 @@ from edream.calibration.worth import Worth, worth_of
 from edream.core.episode import Episode
 from edream.core.stage import Artifact, Bundle, Source, Stage, Work
 from edream.ingest.stored import stored_episodes
+from edream.sim.emit import emit
 from edream.sim.least_squares import jacobian
 from edream.sim.objective import Objective
 from edream.sim.rollout import whole
@@ -79,14 +80,14 @@ def run(inputs: Mapping[str, Artifact], config: FitConfig, work: Work) -> Bundle
     entry = catalog.load("fitters", settings.method, Fitter)
     problem = Problem(objective, None, settings.search, work.seed("search"), counted)
     if entry.needs_surrogate:
-        problem = with_surrogate(problem, inputs, config, train, work)
+        swept = from_tables(inputs["sweep"])
+        learned = catalog.load("surrogates", config.surrogate.kind, Surrogate).load(inputs["surrogate"]["weights.safetensors"])
+        problem = with_surrogate(problem, swept, learned, config.surrogate.options, train)
     result = work.shards("search", [0], lambda item, rng: _kept(entry.fit(problem)), parallel=False)[0]["found.json"]
     values = np.array(result["values"])
     worth = judged(objective, values)
     error = errors(simulated, values, train, held, counted, settings.until)
-    from edream.sim.emit import emit
-
-    model = emit(simulated, values, train[0].conditions)
+    model = emit(simulated, values)
     summary = _summary(worth, error, result, held, settings, inputs)
     bundle: dict[str, Any] = {MODEL: model.mjcf}
     if model.hook:
@@ -100,7 +101,7 @@ def run(inputs: Mapping[str, Artifact], config: FitConfig, work: Work) -> Bundle
         "facts": result["facts"],
         "heldout": [episode.name for episode in held],
         "train": [episode.name for episode in train],
-        "model_difference": getattr(model, "difference", None),
+        "model_difference": model.difference,
     }
     replay = overlays(simulated, values, [*train, *held], settings.until)
     return bundle | {"summary.json": summary, "details.json": details, "replay.parquet": replay}
@@ -116,24 +117,18 @@ def objective_of(simulated: SimulatedRobot, episodes: Sequence[Episode], setting
 
 
 def with_surrogate(
-    problem: Problem, inputs: Mapping[str, Artifact], config: FitConfig, train: Sequence[Episode], work: Work
+    problem: Problem, sweep: Sequences, learned: Surrogate, options: Mapping[str, float], train: Sequence[Episode]
 ) -> Problem:
     """The problem with the learned surrogate, recorded windows to descend on, and a way to learn it again."""
     simulated = problem.objective.simulated
-    entry = catalog.load("surrogates", config.surrogate.kind, Surrogate)
-    sweep = from_tables(inputs["sweep"])
-    windows = draw_windows(train, sweep.position.shape[1], 64, np.random.default_rng(work.seed("windows")))
-    problem.measured = measured_sequences(simulated, windows)
-    problem.surrogate = entry.load(inputs["surrogate"]["weights.safetensors"])
+    windows = draw_windows(train, sweep.position.shape[1], 64, np.random.default_rng(problem.seed))
 
     def relearn(unit: np.ndarray) -> tuple[Surrogate, int]:
         groups = [(unit[i::8], windows[i::8]) for i in range(8)]
         more = join([simulate(simulated, sets, some) for sets, some in groups if len(sets) and some])
-        near = nearest(sweep, unit)
-        return entry.fit(join([near, more]), config.surrogate.options, work.seed("relearn")), len(more)
+        return learned.fit(join([nearest(sweep, unit), more]), options, problem.seed), len(more)
 
-    problem.relearn = relearn
-    return problem
+    return replace(problem, measured=measured_sequences(simulated, windows), surrogate=learned, relearn=relearn)
 
 
 def nearest(sweep: Sequences, unit: np.ndarray) -> Sequences:

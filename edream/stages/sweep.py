@@ -4,7 +4,7 @@ First Sobol points fill the whole box. Each simulated window also has its record
 it; later rounds draw their sets around those, where the surrogate has to be right.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -18,6 +18,7 @@ from edream.calibration.settings import RobotSettings, SpaceSettings, scored, si
 from edream.calibration.split import split_motions
 from edream.calibration.sweeping import SETS, STEPS, from_tables, to_tables
 from edream.calibration.windows import draw_windows, join, measured_sequences, simulate
+from edream.core.episode import Episode
 from edream.core.stage import Artifact, Bundle, Source, Stage, Work
 from edream.ingest.stored import stored_episodes
 from edream.sim.rollout import Window
@@ -38,7 +39,7 @@ class SweepSettings:
         blocks: into how many parts sets and windows are dealt; every set of a part meets every window of it.
     """
 
-    sets: int = 256
+    sets: int = 128
     rounds: int = 3
     windows: int = 160
     seconds: float = 0.5
@@ -59,8 +60,15 @@ def run(inputs: Mapping[str, Artifact], config: SweepConfig, work: Work) -> Bund
     """Simulate block by block, each kept on disk as soon as it is done."""
     episodes, _ = split_motions(list(stored_episodes(inputs["ingest"])), config.fit, config.seed)
     simulated = simulated_robot(config.robot.load(), config.fit)
-    space, counted = space_of(simulated), scored(simulated.robot, config.fit)
-    options = config.sweep
+    space_of(simulated)
+    return sweep(simulated, episodes, scored(simulated.robot, config.fit), config.sweep, work)
+
+
+def sweep(
+    simulated: SimulatedRobot, episodes: Sequence[Episode], counted: np.ndarray, options: SweepSettings, work: Work
+) -> Bundle:
+    """Round after round, closer around what comes near the recordings."""
+    space = simulated.space
     windows = draw_windows(
         episodes, rows_in(episodes, options.seconds, most=40), options.windows, np.random.default_rng(work.seed("windows"))
     )

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from edream import config
+from edream.calibration.polish import polish
 from edream.calibration.settings import RobotSettings, SpaceSettings, simulated_robot
 from edream.calibration.worth import Worth, worth_of
 from edream.core.episode import Episode
-from edream.sim.least_squares import solve
 from edream.sim.objective import Objective
 from edream.sim.rollout import rollout, whole
 from edream.sim.simulation import SimulatedRobot
@@ -81,7 +81,7 @@ def recover(seed: int, count: int = 4, seconds: float = 8.0) -> Recovered:
     simulated = arm()
     truth = plant(simulated, seed)
     objective = Objective(simulated, whole(motions(simulated, truth, seed, count, seconds)), np.arange(7) < 6)
-    solution = solve(objective, iterations=15)
+    solution = polish(objective, None, 15, 1e-6)
     worth = worth_of(objective, solution.values, solution.residual, solution.jacobian)
     return Recovered(simulated.space.mapping(truth), worth, solution.rms)
 
