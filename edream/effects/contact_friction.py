@@ -14,8 +14,9 @@ class ContactFriction(Effect):
 
         |f_t| <= mu f_n
 
-    Objects slide further, or not at all. Writes `friction[0]` of the geom and raises its `priority`, so that its own value counts and
-    not the larger of both. Parameter: friction mu [1], absolute. Source: MuJoCo XML reference, body/geom/friction and priority.
+    Objects slide further, or not at all. Writes `friction[0]` of the geom and raises its `priority`, so that its own value
+    counts and not the larger of both. Parameter: friction mu [1], absolute.
+    Source: MuJoCo XML reference, body/geom/friction and priority.
     """
 
     name = "contact_friction"

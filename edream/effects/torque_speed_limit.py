@@ -36,7 +36,8 @@ class TorqueSpeedLimit(Effect):
     hook = staticmethod(torque_speed_limit)
 
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
-        stall = max(strongest(model, target) for target in targets)
+        # twice the servo's own limit, so that at the top of the box the line stays above it at any speed of an arm
+        stall = 2.0 * max(strongest(model, target) for target in targets)
         return (
             Parameter("stall", "N m", min(0.05 * largest(model, targets), 0.5 * stall), stall, stall, absent=stall, scale="log"),
             Parameter("speed", "rad/s", 0.2, 200.0, 200.0, absent=200.0, scale="log"),

@@ -16,7 +16,8 @@ from edream.sim.simulation import Placement, SimulatedRobot
 
 ROBOTS = Path(__file__).resolve().parents[2] / "edream" / "robots"
 NAMES = catalog.names("effects")
-# Structure that is there even where the effect is not: a rotor behind a lock that is stiff, not rigid; a bristle; a filter of no length.
+# Structure that is there even where the effect is not: a rotor behind a lock that is stiff, not rigid, and integrated with its own
+# implicit damping; a bristle; a filter of no length; a buffer. Everything else is bit-identical or listed below.
 ALMOST = {
     "compliance": 5e-4,
     "backlash": 5e-4,
@@ -25,7 +26,7 @@ ALMOST = {
     "actuator_delay": 1e-6,
     "sensor_delay": 1e-6,
 }
-# Absolute numbers of the published model that some motions of this test cannot reproduce bit by bit in another place.
+# The same law computed in another place (damping of the joint, not of the servo; a PID in place of a position servo).
 MOVED = {"viscous": 1e-6, "slew_limit": 1e-9, "integral_action": 1e-9, "constant_torque": 1e-9}
 SLED = """
 <mujoco model="sled">
