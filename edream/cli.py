@@ -78,7 +78,7 @@ def calibrate(overrides: Overrides = None, conf: Conf = None, json: Json = False
 
     Example: `edream calibrate robot=so101 robot.mjcf=so101.xml data=recordings/ fit.method=gauss_newton seed=3`
     """
-    run("calibrate", _with_report("fit"), overrides, conf, json)
+    run("calibrate", ("fit", "report"), [*(overrides or []), "report.of=fit"], conf, json)
 
 
 @_command("diagnose")
@@ -87,7 +87,7 @@ def diagnose(overrides: Overrides = None, conf: Conf = None, json: Json = False)
 
     Example: `edream diagnose robot.mjcf=robot.xml data=recordings/`
     """
-    run("diagnose", _with_report("diagnose"), overrides, conf, json)
+    run("diagnose", ("diagnose", "report"), [*(overrides or []), "report.of=diagnose"], conf, json)
 
 
 @_command("replay")
@@ -144,6 +144,23 @@ def export(
     cfg = _compose(overrides, conf)
     with _stdout_for_json(json) as write:
         cli_data.export_episodes(cfg, to, out, write if json else None)
+
+
+@app.command()
+def report(
+    overrides: Runs = None,
+    open_it: Annotated[bool, typer.Option("--open", help="Show it in a browser.")] = False,
+    json: Json = False,
+) -> None:
+    """Write the report of the newest calibration or diagnosis anew where it is missing, and print its path.
+
+    Examples: `edream report`, `edream report --open runs=runs`
+    """
+    from edream import cli_report
+
+    cfg = _compose(overrides, None)
+    with _stdout_for_json(json) as write:
+        cli_report.report(cfg, open_it, write if json else None)
 
 
 @app.command()
@@ -215,10 +232,6 @@ def run(command: str, stages: tuple[str, ...], overrides: list[str] | None, conf
     with _stdout_for_json(json) as write:
         made, path = pipeline.make_run(command, stages, cfg)
         cli_show.result(made, path, write if json else None)
-
-
-def _with_report(stage: str) -> tuple[str, ...]:
-    return (stage, "report") if "report" in catalog.names("stages") else (stage,)
 
 
 def _compose(overrides: list[str] | None, conf: Path | None) -> Any:

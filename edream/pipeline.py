@@ -45,19 +45,20 @@ class Plumbing:
     run: str | None = None
 
 
-def make(name: str, cfg: DictConfig) -> StoredArtifact:
+def make(name: str, cfg: DictConfig, given: Mapping[str, StoredArtifact] | None = None) -> StoredArtifact:
     """The artifact of a stage under a config; made where it is not there yet, with all that it needs.
 
     Args:
         name: the stage.
         cfg: the composed config.
+        given: artifacts to take as they are, stage name -> artifact, instead of what the config would make.
 
     Raises:
         EdreamError: a setting or an input is wrong, the disk is full, or an artifact that is needed is corrupt.
     """
     plumbing = config.read(cfg, Plumbing)
     places = executor.create(plumbing.executor.kind, plumbing.executor.workers)
-    return _Maker(cfg, Store(plumbing.runs), places, {}).make(name)
+    return _Maker(cfg, Store(plumbing.runs), places, dict(given or {})).make(name)
 
 
 def make_run(command: str, names: Sequence[str], cfg: DictConfig) -> tuple[dict[str, StoredArtifact], Path]:

@@ -1,0 +1,62 @@
+"""Report: one self-contained page about a calibration or a diagnosis."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+from edream import catalog
+from edream.calibration.problem import Fitter
+from edream.core.stage import Artifact, Bundle, Stage, Work
+from edream.report.calibration import calibration_page
+from edream.report.diagnosis import diagnosis_page
+
+PAGE = "report.html"
+
+
+@dataclass(frozen=True)
+class ReportOptions:
+    """What the page is about: the stage `fit` or `diagnose`."""
+
+    of: Literal["fit", "diagnose"]
+
+
+@dataclass(frozen=True)
+class ReportedRobot:
+    """Of the robot only its name counts here."""
+
+    name: str | None = None
+
+
+@dataclass(frozen=True)
+class ReportedFit:
+    """Of the fit only its method counts here: it says whether there is a surrogate to report on."""
+
+    method: str = "gauss_newton"
+
+
+@dataclass(frozen=True)
+class ReportConfig:
+    """What report reads."""
+
+    report: ReportOptions
+    robot: ReportedRobot
+    fit: ReportedFit
+
+
+def needs(config: ReportConfig) -> tuple[str, ...]:
+    """What the page is about, the recordings, and the surrogate where one was used."""
+    if config.report.of == "diagnose":
+        return ("diagnose", "ingest")
+    entry = catalog.load("fitters", config.fit.method, Fitter)
+    return ("fit", "ingest", "surrogate") if entry.needs_surrogate else ("fit", "ingest")
+
+
+def run(inputs: Mapping[str, Artifact], config: ReportConfig, work: Work) -> Bundle:
+    """Draw and write the page."""
+    robot = config.robot.name or "your robot"
+    if config.report.of == "diagnose":
+        return {PAGE: diagnosis_page(inputs["diagnose"], inputs["ingest"], robot)}
+    return {PAGE: calibration_page(inputs["fit"], inputs["ingest"], inputs.get("surrogate"), robot)}
+
+
+ENTRY = Stage("report", 1, needs, ReportConfig, run, None, ("matplotlib",))
