@@ -44,7 +44,7 @@ class State(Protocol):
     torque: Float[np.ndarray, "N nv"]
 
 
-Hook = Callable[[Any, Mapping[str, int], Mapping[str, Any]], None]
+Hook = Callable[[Any, Any, Any], None]
 
 
 class Effect(ABC):
@@ -100,8 +100,9 @@ def joint_index(model: mujoco.MjModel, joint: str) -> dict[str, int]:
     """Addresses of a joint and of the actuator that drives it.
 
     Returns:
-        "joint", "dof" and "qpos" of the joint itself; "actuator", "ctrl" and "force" (into `actuator_force`) of its servo; "drive" and
-        "drive_qpos", the motor's own degree of freedom: the joint's, unless a gear with play or give was put between (`<joint>_motor`).
+        "joint", "dof" and "qpos" of the joint itself; "actuator", "ctrl" and "force" (into `actuator_force`) of its servo; "drive"
+        and "drive_qpos", the motor's own degree of freedom: the joint's, unless a gear with play or give lies between
+        (`<joint>_motor`).
 
     Raises:
         EdreamError: no actuator drives the joint.

@@ -4,6 +4,7 @@ import difflib
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -136,7 +137,7 @@ def _transfer(spec: mujoco.MjSpec, before: mujoco.MjModel, after: mujoco.MjModel
             element.explicitinertial, element.fullinertia = True, np.array([np.nan, 0, 0, 0, 0, 0])
 
 
-def _element(spec: mujoco.MjSpec, model: mujoco.MjModel, field: str, kind: str, row: int) -> object:
+def _element(spec: mujoco.MjSpec, model: mujoco.MjModel, field: str, kind: str, row: int) -> Any:
     """The spec's element of a row of a model field. Elements keep their order from spec to model."""
     if field.startswith("dof_"):
         row = int(model.dof_jntid[row])

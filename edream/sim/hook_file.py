@@ -3,6 +3,7 @@
 import inspect
 import textwrap
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -162,7 +163,7 @@ def hook_text(simulated: SimulatedRobot, numbers: Sequence[Mapping[str, np.ndarr
         return None
     sources, rows = {}, []
     for placement, values in pairs:
-        hook = placement.effect.hook
+        hook: Any = placement.effect.hook
         sources[hook.__name__] = _plain(inspect.getsource(hook))
         listed = "{" + ", ".join(f'"{name}": {float(value[0])!r}' for name, value in values.items()) + "}"
         rows += [f'({hook.__name__}, "{target}", {listed})' for target in placement.targets or ("",)]

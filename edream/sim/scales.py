@@ -1,5 +1,7 @@
 """How large torques and speeds are on a joint: the yardstick for bounds that suit any robot."""
 
+from collections.abc import Sequence
+
 import mujoco
 import numpy as np
 
@@ -30,7 +32,7 @@ def torque_scale(model: mujoco.MjModel, joint: str) -> float:
     return gravity + BRISK_ACCELERATION * inertia
 
 
-def largest(model: mujoco.MjModel, joints: tuple[str, ...] | list[str]) -> float:
+def largest(model: mujoco.MjModel, joints: Sequence[str]) -> float:
     """The largest `torque_scale` among joints that share their numbers [N m]."""
     return max(torque_scale(model, joint) for joint in joints)
 
