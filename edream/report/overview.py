@@ -83,7 +83,8 @@ def maps(joints: Sequence[str], motions: Sequence[str], before: Any, after: Any,
             axis.invert_yaxis()
             axis.grid(False)
             axis.tick_params(length=0)
-            axis.axvline(len(motions) - kept, color=INK, linewidth=1.6)
+            for colour, width in (("#ffffff", 4.5), ("#222222", 1.8)):
+                axis.axvline(len(motions) - kept, color=colour, linewidth=width)
             if len(motions) <= LABELLED:
                 for (row, column), value in np.ndenumerate(cells):
                     colour = "#ffffff" if value > 0.62 * top else "#222222"
