@@ -35,7 +35,7 @@ class FitterOptions:
     polish: int = 4
     annealing_steps: int = 400
     evaluations: int = 600
-    descent_steps: int = 300
+    descent_steps: int = 80
     rounds: int = 1
 
 

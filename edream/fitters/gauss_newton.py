@@ -24,10 +24,13 @@ class GaussNewton(Fitter):
         before, start, near_simulations, history = objective.simulations, None, 0, []
         if len(objective.windows) >= 2 * SHARE:
             few = replace(objective, windows=objective.windows[::SHARE], simulations=0)
-            near = solve(few, iterations=options.iterations)
+            near = polish(few, None, options.iterations)
             start, near_simulations = near.values, few.simulations
             history.append(near.start_rms**2)
-        solution = polish(objective, start, options.polish if start is not None else options.iterations)
+            # its errors are those that will be left, so they weigh the priors rightly at once
+            solution = solve(objective, start, iterations=options.polish)
+        else:
+            solution = polish(objective, None, options.iterations)
         cost = float(problem.cost(problem.space.to_unit(solution.values))[0])
         simulations = objective.simulations - before + near_simulations
         return FitResult(solution.values, cost, (*history, solution.start_rms**2, cost), simulations, solution.converged)

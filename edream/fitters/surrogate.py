@@ -7,9 +7,9 @@ from edream.calibration.polish import polish
 from edream.calibration.problem import FitResult, Fitter, Problem
 from edream.core.errors import EdreamError
 
-STARTS = 6  # random starts of the descent; they run as one batch
+STARTS = 4  # random starts of the descent; they run as one batch
 AROUND = 0.12  # of the box: where parameter sets are drawn for learning again
-MORE_SETS = 48
+MORE_SETS = 32
 
 
 class SurrogateFit(Fitter):

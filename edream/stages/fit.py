@@ -29,6 +29,7 @@ from edream.sim.rollout import whole
 from edream.sim.simulation import SimulatedRobot
 
 MODEL, HOOK = "model.xml", "model_hook.py"
+WINDOWS = 32  # recorded windows that the surrogate descends on
 
 
 @dataclass(frozen=True)
@@ -121,7 +122,7 @@ def with_surrogate(
 ) -> Problem:
     """The problem with the learned surrogate, recorded windows to descend on, and a way to learn it again."""
     simulated = problem.objective.simulated
-    windows = draw_windows(train, sweep.position.shape[1], 64, np.random.default_rng(problem.seed))
+    windows = draw_windows(train, sweep.position.shape[1], WINDOWS, np.random.default_rng(problem.seed))
 
     def relearn(unit: np.ndarray) -> tuple[Surrogate, int]:
         groups = [(unit[i::8], windows[i::8]) for i in range(8)]

@@ -13,7 +13,7 @@ from edream.calibration.windows import Sequences
 from edream.core.errors import EdreamError
 from edream.learn.determinism import deterministic
 
-DEFAULTS = {"hidden": 96, "members": 2, "epochs": 10, "horizon": 8, "batch": 512, "rate": 3e-3, "velocity_weight": 0.1}
+DEFAULTS = {"hidden": 96, "members": 2, "epochs": 8, "horizon": 8, "batch": 512, "rate": 3e-3, "velocity_weight": 0.1}
 
 
 class Mlp(Surrogate):
