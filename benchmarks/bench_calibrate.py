@@ -2,8 +2,8 @@
 
     python benchmarks/bench_calibrate.py [--case arm6 --case so101] [--seconds 60] [--out DIR]
 
-Every method starts at the published numbers, searches the same box, and sees the same stretches of the same training motions; the
-error is that of replaying whole motions that none of them saw. The surrogate's time includes its sweep and its learning. CPU seconds
+Every method starts at the published numbers, searches the same box, and sees the same stretches of the same training motions.
+The error is that of replaying whole motions that none of them saw. The surrogate's time includes its sweep and its learning. CPU seconds
 stand beside wall-clock seconds because other programs may share the machine. Simulated seconds count motion, all runs added.
 `mujoco.sysid` needs the `bench` extra; it runs with its own optimiser, rollouts and residual (joint position), on our unit box.
 

@@ -23,14 +23,7 @@ from edream.diagnosis.screen import screen
 from edream.diagnosis.verdict import Diagnosis
 from edream.sim.simulation import Placement, SimulatedRobot
 
-PLAIN = (
-    "quadratic_drag",
-    "spring",
-    "constant_torque",
-    "actuator_lag",
-    "torque_limit",
-    "integral_action",
-)  # by joint, all native MJCF
+PLAIN = ("quadratic_drag", "spring", "constant_torque", "actuator_lag", "torque_limit")  # by joint, all native MJCF
 
 
 def run_baselines(found: Diagnosis) -> dict[str, dict[str, Any]]:

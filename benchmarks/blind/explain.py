@@ -23,12 +23,17 @@ def main() -> None:
     parser.add_argument("--baselines", action="store_true")
     given = parser.parse_args()
     blindfold()
-    result = explain(given.robot, given.data, given.baselines)
+    diagnosis, result = explain(given.robot, given.data)
     given.out.write_text(json.dumps(_finite(result)) + "\n", encoding="utf-8")
+    if given.baselines:
+        from benchmarks.blind.baselines import run_baselines
+
+        result["baselines"] = run_baselines(diagnosis)
+        given.out.write_text(json.dumps(_finite(result)) + "\n", encoding="utf-8")
 
 
-def explain(robot_path: Path, data: Path, baselines: bool = False) -> dict[str, Any]:
-    """Ingest the recordings and diagnose them, as `edream diagnose robot.mjcf=R.xml data=D` does."""
+def explain(robot_path: Path, data: Path) -> tuple[Any, dict[str, Any]]:
+    """Ingest the recordings and diagnose them, as `edream diagnose robot.mjcf=R.xml data=D` does: the `Diagnosis`, its summary."""
     from edream.core.episode import Episode
     from edream.diagnosis.problem import Settings, prepare
     from edream.diagnosis.verdict import diagnose
@@ -41,12 +46,7 @@ def explain(robot_path: Path, data: Path, baselines: bool = False) -> dict[str, 
     episodes: list[Episode] = [episode for episode, _ in found]
     problem = prepare(robot, episodes, Settings())
     diagnosis = diagnose(problem)
-    result = summary(diagnosis) | {"seconds": time.monotonic() - began}
-    if baselines:
-        from benchmarks.blind.baselines import run_baselines
-
-        result["baselines"] = run_baselines(diagnosis)
-    return result
+    return diagnosis, summary(diagnosis) | {"seconds": time.monotonic() - began}
 
 
 def summary(found: Any) -> dict[str, Any]:

@@ -25,7 +25,7 @@ def run_case(case: Case, robot: RobotModel, folder: Path, session: Session, base
     """Record a case where that is not done, and diagnose it blindfolded.
 
     Returns:
-        What the diagnosis wrote, or {"failed": the end of what it said}.
+        What the diagnosis wrote, with "baselines_failed" where only those went wrong, or {"failed": the end of what it said}.
     """
     data, _ = record_case(case, robot, folder, session)
     with tempfile.TemporaryDirectory(prefix="blind-") as name:
@@ -40,9 +40,11 @@ def run_case(case: Case, robot: RobotModel, folder: Path, session: Session, base
             done = subprocess.run(words, cwd=place, env=environment, capture_output=True, text=True, timeout=LONGEST, check=False)
         except subprocess.TimeoutExpired:
             return {"failed": f"more than {LONGEST:.0f} s"}
-        if done.returncode:
-            return {"failed": done.stderr.strip()[-2000:]}
-        return json.loads(out.read_text(encoding="utf-8"))
+        said = done.stderr.strip()[-2000:]
+        if done.returncode and not out.exists():
+            return {"failed": said}
+        result = json.loads(out.read_text(encoding="utf-8"))
+        return result | ({"baselines_failed": said} if done.returncode else {})
 
 
 def write_robot(robot: RobotModel, folder: Path) -> None:
@@ -144,7 +146,8 @@ def summarise(case: Case, robot: RobotModel, folder: Path, result: Mapping[str, 
         return f"FAILED {row['failed'].splitlines()[-1] if row['failed'] else ''}"
     mark = "right" if row["right"] else "WRONG"
     hidden = ", ".join(row["hidden"]) or "nothing"
-    return f"{mark}, {row['verdict']} {', '.join(row['named'])} (hidden {hidden}), {row['seconds']:.0f} s"
+    lost = ", baselines FAILED" if "baselines_failed" in result else ""
+    return f"{mark}, {row['verdict']} {', '.join(row['named'])} (hidden {hidden}), {row['seconds']:.0f} s{lost}"
 
 
 def version() -> str:

@@ -1,10 +1,8 @@
 """Gradient descent on parameters through a frozen surrogate."""
 
-from collections.abc import Sequence
-
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from edream.calibration.surrogate import Surrogate
 from edream.calibration.windows import Sequences
@@ -19,7 +17,7 @@ def descend(
     start: Float[np.ndarray, "S P"],
     prior: tuple[Float[np.ndarray, "P"], Float[np.ndarray, "P"]],
     steps: int,
-    joints: Sequence[bool] | None = None,
+    joints: Bool[np.ndarray, "J"] | None = None,
 ) -> tuple[Float[np.ndarray, "S P"], Float[np.ndarray, "S"]]:
     """Adam from several starts at once: least mean squared position error over the windows, plus the priors.
 

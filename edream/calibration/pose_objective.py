@@ -60,7 +60,7 @@ class PoseObjective:
 
     def _error(self, positions: np.ndarray, where: np.ndarray, turn: Rotation) -> np.ndarray:
         rows = positions[1 :: self.stride]
-        good = np.isfinite(rows).all(axis=1)
+        good = np.asarray(np.isfinite(rows).all(axis=1))
         x, r = self.chain.poses(np.where(good[:, None], rows, 0.0))
         angle = (r * turn.inv()).as_rotvec() * (1.0 if self.rotation == "geodesic" else 0.5)
         out = np.concatenate([_soften(x - where), _soften(angle)], axis=1)

@@ -88,7 +88,7 @@ def simulate(simulated: SimulatedRobot, unit: Float[np.ndarray, "N P"], windows:
     results = rollout(simulated, simulated.space.from_unit(unit), dense, threads)
     parts = [_sequences(simulated, unit, i, *one) for i, one in enumerate(zip(windows, dense, results, strict=True))]
     made = join(parts)
-    return made.take(np.isfinite(made.position).all(axis=(1, 2)))
+    return made.take(np.flatnonzero(np.isfinite(made.position).all(axis=(1, 2))))
 
 
 def _sequences(
@@ -100,7 +100,8 @@ def _sequences(
     velocity = np.concatenate([first, (result[:, 2::2] - result[:, 1::2]) / spans], axis=1)
     shared = [np.repeat(part, n, axis=0) for part in (log_factors(simulated, [window]), *_commands([window]))]
     which = np.stack([np.arange(n), np.full(n, number)], axis=1)
-    return Sequences(unit, shared[0], result[:, 0::2], velocity, *shared[1:], which)
+    factors, command, dt, enabled = shared
+    return Sequences(unit, factors, result[:, 0::2], velocity, command, dt, enabled, which)
 
 
 def _with_velocity_samples(window: Window, step: float) -> Window:

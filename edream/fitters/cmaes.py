@@ -30,7 +30,7 @@ class CmaEs(Fitter):
             if costs.min() < least:
                 best, least = points[costs.argmin()], float(costs.min())
             history.append(least)
-        converged = "maxfevals" not in search.stop()
+        converged = "maxfevals" not in dict(search.stop() or {})
         return FitResult(space.from_unit(best), least, tuple(history), problem.objective.simulations - before, converged)
 
 

@@ -87,7 +87,16 @@ def solve(
         return Solution(space, np.zeros(0), first, np.zeros((len(first), 0)), True, rms(first), rms(first))
     inside = np.clip(begin, 1e-6, 1.0 - 1e-6)
     found = least_squares(
-        function, inside, derivative, bounds=(0.0, 1.0), method="trf", x_scale=0.1, max_nfev=iterations, ftol=tolerance, xtol=tolerance, gtol=None
+        function,
+        inside,
+        derivative,
+        bounds=(0.0, 1.0),
+        method="trf",
+        x_scale=0.1,
+        max_nfev=iterations,
+        ftol=tolerance,
+        xtol=tolerance,
+        gtol=None,
     )
     residual = data(found.x)
     slope = found.jac[: len(residual)] * scale

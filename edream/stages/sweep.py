@@ -74,7 +74,7 @@ def sweep(
     )
     dealt = [list(range(b, len(windows), options.blocks)) for b in range(options.blocks)]
     dealt = [numbers for numbers in dealt if numbers]
-    unit = qmc.Sobol(len(space), seed=np.random.default_rng(work.seed("sobol"))).random(options.sets)
+    unit = qmc.Sobol(len(space), rng=np.random.default_rng(work.seed("sobol"))).random(options.sets)
     parts, nearness, total = [], np.zeros((0, len(space) + 1)), 0
     for round_number in range(options.rounds):
         if round_number:
