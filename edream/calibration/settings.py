@@ -11,7 +11,7 @@ from edream.core.effect import Effect
 from edream.core.errors import EdreamError, unknown_name
 from edream.core.parameters import ParameterSpace
 from edream.sim.mjcf_field import MjcfField
-from edream.sim.robot import RobotModel, load_robot
+from edream.sim.robot import RobotModel, joint_groups, load_robot
 from edream.sim.simulation import Placement, Scaling, SimulatedRobot
 
 WEAK_PRIOR = 0.5  # of the unit box; decides only what the data leave open
@@ -166,7 +166,7 @@ def _placements(robot: RobotModel, text: str, ties: Sequence[Sequence[str]]) -> 
     if effect.place == "joint":
         for joint in targets:
             robot.joint_index(joint)
-        return [Placement(effect, targets)] if targets else [Placement(effect, group) for group in _groups(robot, ties)]
+        return [Placement(effect, targets)] if targets else [Placement(effect, group) for group in joint_groups(robot, ties)]
     if effect.place == "world":
         if targets:
             raise EdreamError(f"Effect {name!r} acts on the whole world; it has no place {place!r}.")
@@ -198,19 +198,6 @@ def _check_targets(robot: RobotModel, effect: Effect, targets: Sequence[str]) ->
     for target in targets:
         if target not in known:
             raise unknown_name(effect.place, target, [one for one in known if one])
-
-
-def _groups(robot: RobotModel, ties: Sequence[Sequence[str]]) -> list[tuple[str, ...]]:
-    if [list(group) for group in ties] == [["all"]]:
-        return [robot.joints]
-    for joint in (joint for group in ties for joint in group):
-        robot.joint_index(joint)
-    tied = [joint for group in ties for joint in group]
-    twice = sorted({joint for joint in tied if tied.count(joint) > 1})
-    if twice:
-        raise EdreamError(f"Joint {twice[0]!r} stands in two groups of ties; expected one at most.")
-    groups = [tuple(group) for group in ties] + [(joint,) for joint in robot.joints if joint not in tied]
-    return sorted(groups, key=lambda group: robot.joints.index(group[0]))
 
 
 def space_of(simulated: SimulatedRobot) -> ParameterSpace:

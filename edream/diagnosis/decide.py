@@ -9,15 +9,18 @@ from jaxtyping import Float
 from edream.diagnosis.candidates import Candidate, placement
 from edream.diagnosis.descent import Fit, descend, step_from
 from edream.diagnosis.problem import Problem
-from edream.diagnosis.screen import Scored, extend, screen, with_quantities
+from edream.diagnosis.screen import Scored, extend, scaled_probe, screen, with_quantities
 from edream.sim.least_squares import worth
+from edream.sim.objective import UNSTABLE_RESIDUAL, Objective
 from edream.sim.rollout import rollout_each
-from edream.sim.objective import Objective, UNSTABLE_RESIDUAL
+from edream.sim.simulation import Placement
 
 FOLDS = 5
 REFITTED = 8
 DRAWS = 4000
 SERIOUS_SHARE = 0.01
+SMALL = 10  # parameters up to which every refit differences all of them and starts from several places
+STRONG = 5.0  # probes
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,6 +126,8 @@ def try_best(
 ) -> list[Trial]:
     """Refit the candidates with the largest shares; best on left-out motions first."""
     serious = [s for s in scored if s.share >= SERIOUS_SHARE][:REFITTED]
+    if len(fit.unit) <= SMALL:
+        serious += [s for s in {s.candidate.effect: s for s in reversed(scored)}.values() if s not in serious]
     trials = []
     for one in serious:
         trials.append(refit(problem, fit, errors, one))
@@ -134,13 +139,26 @@ def refit(problem: Problem, fit: Fit, errors: Float[np.ndarray, "M"], scored: Sc
     """One candidate, from where the score test puts it, with all nuisance numbers free."""
     place = placement(problem, scored.candidate)
     extended, absent = extend(fit, [place])
-    start = with_quantities(extended, absent, [place], [scored.start])
-    refitted = descend(with_column(fit, extended, start), fresh_columns(fit, extended), iterations=6)
+    if len(fit.unit) > SMALL:
+        start = with_quantities(extended, absent, [place], [scored.start])
+        refitted = descend(with_column(fit, extended, start), fresh_columns(fit, extended), iterations=6)
+    else:
+        starts = [with_quantities(extended, absent, [place], [one]) for one in bold_starts(problem, place, scored)]
+        refitted = min((descend(with_column(fit, extended, one), None, iterations=8) for one in starts), key=lambda f: f.rms)
     left = left_out_errors(problem, refitted)
     gain = errors - left
     gap = max(float(errors.mean()) - problem.floor**2, 1e-18)
     low, _ = bootstrap(gain, problem.settings.seed)
     return Trial(scored.candidate, scored.share, refitted, left, float(gain.mean()) / gap, low > 0.0)
+
+
+def bold_starts(problem: Problem, place: Placement, scored: Scored) -> list[Mapping[str, float]]:
+    """Where to begin with few parameters: where the score test says, and with strong versions of the effect.
+
+    Far from the truth the score test, which is linear, points to the wrong size; small problems can afford to try.
+    """
+    strong = [scaled_probe(place, problem, probe, STRONG) for probe in place.effect.probes(problem.robot.model, place.targets)]
+    return [scored.start, *(one for one in strong[:3] if one is not None)]
 
 
 def fresh_columns(fit: Fit, extended: Objective) -> np.ndarray:
@@ -216,5 +234,3 @@ def rivals(trials: Sequence[Trial], winner: Trial, seed: int) -> list[tuple[Tria
             out.append((trial, low > 0.0))
     return out
 
-
-Errors = Mapping[str, float]

@@ -2,7 +2,8 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from fnmatch import fnmatchcase
 
 import numpy as np
 from jaxtyping import Float
@@ -10,10 +11,10 @@ from jaxtyping import Float
 from edream.catalog import load
 from edream.core.effect import Effect
 from edream.core.episode import Episode
-from edream.core.errors import EdreamError
+from edream.core.errors import EdreamError, unknown_name
 from edream.sim.rollout import Window, whole
 from edream.sim.simulation import Placement, Scaling
-from edream.sim.robot import RobotModel
+from edream.sim.robot import RobotModel, joint_groups
 
 CREDIBLE_FACTOR = 2.5
 NOMINAL_SPREAD = math.log(1.35)
@@ -27,12 +28,13 @@ class Settings:
         nuisance: effects that every real robot has, refitted beside each candidate; all others are candidates.
         ties: groups of joints that share hardware and so may share numbers.
         scaled: parameter "effect.quantity" -> the recorded condition that multiplies it.
+        limits: parameter "effect.quantity" -> fields of `Parameter` known from a datasheet (start, low, high, spread).
         effects: candidates by name, or empty for the whole library.
         ignored: effects that are left out.
         joints: joints whose error counts, or empty for all.
         until: seconds of each motion that are used, or None for all.
         proof: share of the motions that is kept for the proof and never fitted.
-        held_out: motions kept for the proof by name, instead of a share.
+        holdout: names or patterns of motions kept for the proof, instead of a share.
         stride: every how many measurements one counts.
         model_floor: disagreement [rad] that two correct simulators may have, by their integration.
         gain: smallest share of the remaining gap that an effect must close on motions it was not fitted to.
@@ -44,12 +46,13 @@ class Settings:
     nuisance: tuple[str, ...] = ("servo_gain", "viscous", "coulomb", "armature")
     ties: tuple[tuple[str, ...], ...] = ()
     scaled: Mapping[str, Scaling] = field(default_factory=dict)
+    limits: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     effects: tuple[str, ...] = ()
     ignored: tuple[str, ...] = ()
     joints: tuple[str, ...] = ()
     until: float | None = None
     proof: float = 0.25
-    held_out: tuple[str, ...] = ()
+    holdout: tuple[str, ...] = ()
     stride: int = 1
     model_floor: float = 5e-4
     gain: float = 0.10
@@ -114,12 +117,10 @@ def prepare(robot: RobotModel, episodes: Sequence[Episode], settings: Settings) 
     counted = np.array([not settings.joints or joint in settings.joints for joint in joints])
     windows = [window for window in whole(episodes, settings.until) if window.last - window.first >= 20]
     kept = _proof_names([w.episode.name for w in windows], settings)
-    tied = {joint for group in settings.ties for joint in group}
-    groups = (*settings.ties, *((joint,) for joint in joints if joint not in tied))
     return Problem(
         robot=robot,
         settings=settings,
-        groups=tuple(tuple(j for j in group if j in joints) for group in groups),
+        groups=tuple(joint_groups(robot, settings.ties)),
         fitted=tuple(w for w in windows if w.episode.name not in kept),
         proof=tuple(w for w in windows if w.episode.name in kept),
         counted=counted,
@@ -128,11 +129,14 @@ def prepare(robot: RobotModel, episodes: Sequence[Episode], settings: Settings) 
 
 
 def _proof_names(names: Sequence[str], settings: Settings) -> set[str]:
-    if settings.held_out:
-        missing = sorted(set(settings.held_out) - set(names))
-        if missing:
-            raise EdreamError(f"Motions to hold out do not exist: {', '.join(missing)}. What exists: {', '.join(sorted(names))}.")
-        return set(settings.held_out)
+    if settings.holdout:
+        for pattern in settings.holdout:
+            if not any(fnmatchcase(name, pattern) for name in names):
+                raise unknown_name("motion for diagnose.holdout", pattern, names)
+        kept = {name for name in names if any(fnmatchcase(name, pattern) for pattern in settings.holdout)}
+        if len(names) - len(kept) < 3:
+            raise EdreamError(f"diagnose.holdout keeps {len(kept)} of {len(names)} motions; expected at least 3 to be left to fit.")
+        return kept
     count = max(1, round(settings.proof * len(names)))
     order = np.random.default_rng([settings.seed, 7]).permutation(len(names))
     return {sorted(names)[i] for i in order[:count]}
@@ -176,8 +180,9 @@ def nuisance_placements(problem: Problem, fitted: Mapping[str, float] | None = N
             bare = Placement(effect, group, scaled=scaling_of(problem, name))
             bounds = {}
             for short, full in _names(bare, problem):
+                known = dict(problem.settings.limits.get(f"{name}.{short}", {}))
                 parameter = next(p for p in effect.parameters(problem.robot.model, group) if p.name == short)
-                bounds[short] = _prior(parameter, None if fitted is None else fitted[full])
+                bounds[short] = known | _prior(replace(parameter, **known), None if fitted is None else fitted[full])
             placements.append(Placement(effect, group, scaled=bare.scaled, bounds=bounds))
     return tuple(placements)
 

@@ -64,6 +64,7 @@ class Diagnosis:
         rounds: every forward step with its candidates.
         ladder: label of each step and the error [rad] on each never-fitted motion, (M,).
         remainder: what is left described by a formula, where it has no name.
+        contenders: label and fit of each model that these motions cannot tell from another; empty where they can.
     """
 
     problem: Problem
@@ -78,6 +79,7 @@ class Diagnosis:
     rounds: Sequence[Round]
     ladder: Sequence[tuple[str, Float[np.ndarray, "M"]]]
     remainder: Remainder | None
+    contenders: Sequence[tuple[str, Fit]]
 
 
 def diagnose(problem: Problem, done: Callable[[str, int], object] = lambda text, n: None) -> Diagnosis:
@@ -121,7 +123,17 @@ def diagnose(problem: Problem, done: Callable[[str, int], object] = lambda text,
         rounds=rounds,
         ladder=ladder,
         remainder=remainder if verdict == "unnamed" else None,
+        contenders=contenders(trials, effects, rounds) if verdict == "cannot_tell" else (),
     )
+
+
+def contenders(trials: Sequence[Trial], effects: Sequence[Named], rounds: Sequence[Round]) -> list[tuple[str, Fit]]:
+    """The models that remain possible where the last doubtful effect has rivals: its own and one for each rival."""
+    for trial, named in reversed(list(zip(trials, effects, strict=False))):
+        if named.confusable_with:
+            own = next(r for r in rounds if r.taken is trial)
+            return [(t.candidate.label, t.fit) for t in own.trials if t is trial or t.candidate.label in named.confusable_with]
+    return []
 
 
 def _label(trial: Trial) -> str:

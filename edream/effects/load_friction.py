@@ -12,18 +12,20 @@ from edream.sim.rotor import drive_joint
 
 
 def load_friction(state: State, index: dict[str, int], values: dict[str, Any]) -> None:
-    """Dry friction grows with the torque that gravity and motion put on the joint."""
-    load = abs(state.qfrc_bias[:, index["dof"]])
-    state.friction[:, index["drive"]] += values["slope"] * load
+    """Dry friction grows with the torque on the gear: from the load's side, from the motor's, or between the two."""
+    load, motor = abs(state.qfrc_bias[:, index["dof"]]), abs(state.actuator_force[:, index["actuator"]])
+    share = values["motor_share"]
+    state.friction[:, index["drive"]] += values["slope"] * ((1.0 - share) * load + share * motor)
 
 
 class LoadFriction(Effect):
     """Dry friction proportional to the load that the gear carries.
 
-        F = F0 + k |load|
+        F = F0 + k ((1 - m) |tau_load| + m |tau_motor|)
 
-    The loop between measured and commanded position is wide where gravity pulls and narrow where it does not. MJCF has no such
-    term: a hook sets `dof_frictionloss` before each step. Parameter: slope k [1].
+    The loop between measured and commanded position is wide where gravity pulls and narrow where it does not. A gear that is loaded
+    from its output (self-locking) has m near 0, one whose losses follow the motor's torque m near 1. MJCF has no such term: a hook
+    sets `dof_frictionloss` before each step. Parameters: slope k [1], motor_share m [1].
     Source: Bittencourt, Gunnarsson, IEEE/ASME Transactions on Mechatronics 17(4), 2012; Duclusaud et al. (BAM), 2024.
     """
 
@@ -34,7 +36,10 @@ class LoadFriction(Effect):
     hook = staticmethod(load_friction)
 
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
-        return (Parameter("slope", "1", 0.0, 2.0, 0.0, absent=0.0),)
+        return (Parameter("slope", "1", 0.0, 0.95, 0.0, absent=0.0), Parameter("motor_share", "1", 0.0, 1.0, 0.5))
+
+    def probes(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[dict[str, float], ...]:
+        return ({"slope": 0.05, "motor_share": 0.1}, {"slope": 0.05, "motor_share": 0.9})
 
     def edit(self, spec: mujoco.MjSpec, target: str) -> None:
         hold_still(spec, drive_joint(spec, target))

@@ -77,6 +77,26 @@ def write_episode(
         raise
 
 
+def write_commands(joints: tuple[str, ...], times: np.ndarray, command: np.ndarray, path: Path) -> None:
+    """Write a motion that is yet to be recorded: `/joint_commands` alone, in the form of an episode's.
+
+    Args:
+        joints: names, (J,).
+        times: seconds, (K,), from 0.
+        command: positions [rad or m], (K, J).
+        path: the new file.
+    """
+    with path.open("xb") as stream:
+        writer = Writer(stream, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
+        writer.start(profile=PROFILE, library="edream")
+        channel = _channel(writer, COMMANDS, _protobuf(writer, JointStates))
+        for time, _, number, data in _states(channel, 0, nanoseconds(times), joints, (command, None, None)):
+            writer.add_message(number, time, data, publish_time=time)
+        writer.add_metadata("motion", {"joints": json.dumps(list(joints)), "seconds": repr(float(times[-1]))})
+        writer.add_attachment(0, 0, "about.txt", "text/plain", b"Commands to play on the robot and record; rad (m for slides), seconds.")
+        writer.finish()
+
+
 def nanoseconds(seconds: Any) -> Any:
     """Seconds as whole nanoseconds (an int64 array, or a number)."""
     return np.round(np.asarray(seconds, dtype=np.float64) * 1e9).astype(np.int64)

@@ -31,7 +31,7 @@ def diagnosis_page(found: Mapping[str, Any], ingested: Mapping[str, Any], robot:
         ingested: the same of `ingest`.
         robot: what to call it.
     """
-    result = found["result.json"]
+    result = found["summary.json"]
     traces = from_rows(found["traces.parquet"])
     motions = result["motions"]
     content = {
@@ -51,7 +51,7 @@ def diagnosis_page(found: Mapping[str, Any], ingested: Mapping[str, Any], robot:
         "ranking": _ranking(found["ranking.json"]),
         "nuisance": [{"unit": "", **row} for row in found["nuisance.json"]],
         "difference": found["difference.txt"].splitlines() if "difference.txt" in found else [],
-        "hook": found.get("hook.py"),
+        "hook": found["hook.py"] if "hook.py" in found else None,
         "next_motion": next_motion(found["next_motion.csv"]) if "next_motion.csv" in found else None,
         "recordings": about_recordings(ingested),
     }
@@ -74,10 +74,10 @@ def _gap_figures(found: Mapping[str, Any]) -> list[Figure]:
     errors = found["errors.json"]
     if len(steps) > 2:  # the last step was refitted once more, with everything together
         final = np.sqrt(np.mean(np.square(errors["after"][len(errors["motions"]) - errors["proof"] :]), axis=1)).tolist()
-        alone = len(steps) == 3 and len(found["result.json"]["effects"]) <= 1
+        alone = len(steps) == 3 and len(found["summary.json"]["effects"]) <= 1
         steps = [*steps[:2], (steps[2][0], final)] if alone else [*steps, ("all together, refitted", final)]
     return [
-        ladder(steps, found["result.json"]["gap"]["noise_floor_rad"]),
+        ladder(steps, found["summary.json"]["gap"]["noise_floor_rad"]),
         maps(errors["joints"], errors["motions"], errors["before"], errors["after"], errors["proof"]),
     ]
 

@@ -1,7 +1,7 @@
 """A robot: its MJCF, the joints that are commanded and recorded, and where its end effector is."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path, PurePosixPath
@@ -182,3 +182,21 @@ def _asset_files(text: str, texts: list[str], root: Path, path: Path) -> dict[st
 
 def _one_line(error: Exception) -> str:
     return " ".join(str(error).split())
+
+
+def joint_groups(robot: RobotModel, ties: Sequence[Sequence[str]]) -> list[tuple[str, ...]]:
+    """The robot's joints in groups that share their numbers; [["all"]] is one group of all, and joints in no group stand alone.
+
+    Raises:
+        EdreamError: a joint does not exist or stands in two groups.
+    """
+    if [list(group) for group in ties] == [["all"]]:
+        return [robot.joints]
+    for joint in (joint for group in ties for joint in group):
+        robot.joint_index(joint)
+    tied = [joint for group in ties for joint in group]
+    twice = sorted({joint for joint in tied if tied.count(joint) > 1})
+    if twice:
+        raise EdreamError(f"Joint {twice[0]!r} stands in two groups of ties; expected one at most.")
+    groups = [tuple(group) for group in ties] + [(joint,) for joint in robot.joints if joint not in tied]
+    return sorted(groups, key=lambda group: robot.joints.index(group[0]))

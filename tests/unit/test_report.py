@@ -82,7 +82,7 @@ def diagnosis(verdict: str = "named", joint: str = "lift", effect: str = "stribe
     tried = [{"candidate": f"{effect}[{joint}]", "closed": 0.93, "sure": True, "left_out_rad": 4e-4}]
     spread = {"value": 20.4, "low": 20.1, "high": 20.7}
     return {
-        "result.json": result,
+        "summary.json": result,
         "traces.parquet": table_of([row for row in rows if row["motion"] in names[2:]]),
         "errors.json": {
             "joints": list(joints),
@@ -235,8 +235,8 @@ def test_names_from_strangers_stay_text() -> None:
 @pytest.mark.parametrize("verdict", ["none", "cannot_tell", "unnamed"])
 def test_every_verdict_has_a_page(verdict: str) -> None:
     found = diagnosis(verdict)
-    found["result.json"]["effects"] = [
-        {**one, "closed": None, "runner_up": None, "confusable_with": ["payload[hand]"]} for one in found["result.json"]["effects"]
+    found["summary.json"]["effects"] = [
+        {**one, "closed": None, "runner_up": None, "confusable_with": ["payload[hand]"]} for one in found["summary.json"]["effects"]
     ]
     assert not Reader(diagnosis_page(found, ingested(), "arm")).open
 

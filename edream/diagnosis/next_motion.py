@@ -1,0 +1,177 @@
+"""What to record next: commands under which the remaining candidates would move differently."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from jaxtyping import Float
+from scipy.linalg import cho_factor, cho_solve
+
+from edream.core.episode import Episode
+from edream.diagnosis.descent import Fit
+from edream.diagnosis.problem import Problem
+from edream.sim.rollout import Window, rollout
+
+SECONDS, RATE, SETTLE = 20.0, 50.0, 1.0
+DRAWN, JUDGED, CHANGED = 40, 6, 4
+MARGIN = 0.05  # of a joint's range is kept free at either end
+HASTE = 1.2  # times the fastest command of the recordings
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """A motion to record.
+
+    Attributes:
+        joints: names, (J,).
+        times: of the commands [s], (K,).
+        command: positions [rad or m], (K, J).
+        evidence: expected log-likelihood ratio [nat] between the two candidates that are hardest to tell apart.
+    """
+
+    joints: tuple[str, ...]
+    times: Float[np.ndarray, "K"]
+    command: Float[np.ndarray, "K J"]
+    evidence: float
+
+
+@dataclass(frozen=True, eq=False)
+class Room:
+    """What the robot may be asked for: positions it has room for, speeds it was commanded before."""
+
+    low: Float[np.ndarray, "J"]
+    high: Float[np.ndarray, "J"]
+    speed: Float[np.ndarray, "J"]
+
+
+def suggest(problem: Problem, contenders: Sequence[Fit], rng: np.random.Generator) -> Motion:
+    """The motion, out of many drawn at random, that best separates models which the recordings cannot tell apart.
+
+    The evidence that a motion would give between two models is the squared difference of their predictions, weighed by the noise
+    and by how far each model's own numbers could move to imitate the other,
+
+        E = 1/2 d^T (s^2 I + J C J^T)^-1 d,  d = prediction 1 - prediction 2, J = d prediction / d numbers, C = their covariance;
+
+    the motion with the largest least evidence over all pairs wins. Source: Hunter, Reiner, Technometrics 7(3), 1965; Box, Hill,
+    Technometrics 9(1), 1967.
+
+    Args:
+        problem: robot, recordings and noise.
+        contenders: the fitted models, at least two.
+        rng: where chance comes from.
+    """
+    room = room_of(problem)
+    drawn = [draw(room, rng) for _ in range(DRAWN)]
+    rough = separations(problem, contenders, drawn)
+    best = [drawn[i] for i in np.argsort(-rough)[:JUDGED]]
+    changed = [mixed(one, drawn[int(rng.integers(DRAWN))], rng) for one in best for _ in range(CHANGED)]
+    rough = separations(problem, contenders, changed)
+    best += [changed[i] for i in np.argsort(-rough)[:JUDGED]]
+    sure = evidences(problem, contenders, best)
+    winner = int(np.argmax(sure))
+    times = np.arange(len(best[winner])) / RATE
+    return Motion(problem.fitted[0].episode.joints, times, best[winner], float(sure[winner]))
+
+
+def room_of(problem: Problem) -> Room:
+    """The room that the model's limits and the recordings leave."""
+    model, joints = problem.robot.model, problem.fitted[0].episode.joints
+    commands = [w.episode.command for w in problem.fitted]
+    clocks = [w.episode.command_times for w in problem.fitted]
+    seen_low, seen_high = np.min([c.min(axis=0) for c in commands], axis=0), np.max([c.max(axis=0) for c in commands], axis=0)
+    low, high = seen_low.copy(), seen_high.copy()
+    for j, name in enumerate(joints):
+        number = model.joint(name).id
+        if model.jnt_limited[number]:
+            low[j], high[j] = model.jnt_range[number]
+            margin = MARGIN * (high[j] - low[j])
+            # not far from where the robot has been: the model knows nothing of tables and cables
+            reach = 0.1 * (seen_high[j] - seen_low[j])
+            low[j], high[j] = max(low[j] + margin, seen_low[j] - reach), min(high[j] - margin, seen_high[j] + reach)
+            low[j], high[j] = min(low[j], high[j]), max(low[j], high[j])
+    speeds = [np.abs(np.diff(c, axis=0)) / np.diff(t)[:, None] for c, t in zip(commands, clocks, strict=True)]
+    return Room(low, high, HASTE * np.max([np.percentile(s, 99, axis=0) for s in speeds], axis=0))
+
+
+def draw(room: Room, rng: np.random.Generator) -> Float[np.ndarray, "K J"]:
+    """One motion: from pose to pose at every speed, with holds, small moves to and fro, and sudden steps."""
+    rows = round(SECONDS * RATE)
+    out = [np.tile(rng.uniform(room.low, room.high), (round(SETTLE * RATE), 1))]
+    while sum(map(len, out)) < rows:
+        here = out[-1][-1]
+        sort = int(rng.integers(4))
+        if sort == 0:
+            out.append(_line(here, rng.uniform(room.low, room.high), room, rng.uniform(0.1, 1.0)))
+        elif sort == 1:
+            out.append(_line(here, here, room, 1.0, round(rng.uniform(0.4, 1.5) * RATE)))
+        elif sort == 2:
+            near = np.clip(here + rng.uniform(-0.25, 0.25, len(here)) * (room.high - room.low), room.low, room.high)
+            out += [_line(here, near, room, share := rng.uniform(0.05, 0.6)), _line(near, here, room, share)]
+        else:
+            which = rng.integers(len(here))
+            there = here.copy()
+            there[which] = rng.uniform(room.low[which], room.high[which])
+            out += [_line(here, there, room, 1.0), _line(there, there, room, 1.0, round(0.7 * RATE))]
+    return np.concatenate(out)[:rows]
+
+
+def _line(start: np.ndarray, end: np.ndarray, room: Room, share: float, rows: int | None = None) -> Float[np.ndarray, "K J"]:
+    """Rows from one pose to another at a share of the largest speed."""
+    if rows is None:
+        need = np.abs(end - start) / np.maximum(share * room.speed, 1e-6)
+        rows = int(np.clip(np.ceil(need.max() * RATE), 2, SECONDS * RATE))
+    return start + (end - start) * np.linspace(1.0 / rows, 1.0, rows)[:, None]
+
+
+def mixed(one: np.ndarray, other: np.ndarray, rng: np.random.Generator) -> Float[np.ndarray, "K J"]:
+    """Some joints of one motion with the others of another."""
+    return np.where(rng.random(one.shape[1]) < 0.5, one, other)
+
+
+def as_window(problem: Problem, command: Float[np.ndarray, "K J"]) -> Window:
+    """A planned motion as something that can be simulated; it has no measurement but its start."""
+    sample = problem.fitted[0].episode
+    times = np.arange(len(command)) / RATE
+    episode = Episode("planned", sample.joints, times, command, times, command, conditions=sample.conditions)
+    return Window(episode, 0, len(times) - 1)
+
+
+def separations(problem: Problem, contenders: Sequence[Fit], motions: Sequence[np.ndarray]) -> Float[np.ndarray, "M"]:
+    """Least mean squared difference [rad^2] between any two models' predictions of each motion."""
+    windows = [as_window(problem, one) for one in motions]
+    predicted = [rollout(f.objective.simulated, f.values, windows, problem.settings.threads) for f in contenders]
+    pairs = list(combinations(predicted, 2))
+    least = [[np.mean((a[m][0] - b[m][0])[:, problem.counted] ** 2) for a, b in pairs] for m in range(len(motions))]
+    return np.nan_to_num(np.min(least, axis=1), nan=0.0)
+
+
+def evidences(problem: Problem, contenders: Sequence[Fit], motions: Sequence[np.ndarray]) -> Float[np.ndarray, "M"]:
+    """Least expected log-likelihood ratio [nat] between any two models over each motion."""
+    windows = [as_window(problem, one) for one in motions]
+    predictions = [_with_slopes(problem, fit, windows) for fit in contenders]
+    out = []
+    for m in range(len(motions)):
+        pairs = combinations([one[m] for one in predictions], 2)
+        out.append(min(min(_evidence(problem, a, b), _evidence(problem, b, a)) for a, b in pairs))
+    return np.nan_to_num(np.array(out), nan=0.0)
+
+
+def _with_slopes(problem: Problem, fit: Fit, windows: Sequence[Window]) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Predictions (R,) of each window, and how they move within the numbers' uncertainty, (R, P)."""
+    size, turn = np.linalg.eigh(fit.covariance())
+    root = turn * np.sqrt(np.maximum(size, 0.0))
+    steps = 0.05 * root.T
+    sets = np.clip(np.vstack([fit.unit, fit.unit + steps]), 0.0, 1.0)
+    results = rollout(fit.objective.simulated, fit.space.from_unit(sets), windows, problem.settings.threads)
+    flat = [r[:, :: problem.settings.stride, problem.counted].reshape(len(sets), -1) for r in results]
+    return [(f[0], (f[1:] - f[0]).T / 0.05) for f in flat]
+
+
+def _evidence(problem: Problem, one: tuple[np.ndarray, np.ndarray], other: tuple[np.ndarray, np.ndarray]) -> float:
+    """1/2 d^T (s^2 I + L L^T)^-1 d by Woodbury's identity, L the slopes of the model that tries to imitate the other."""
+    noise = problem.floor
+    difference, slopes = (one[0] - other[0]) / noise, other[1] / noise
+    inner = cho_factor(np.eye(slopes.shape[1]) + slopes.T @ slopes)
+    projected = slopes.T @ difference
+    return 0.5 * float(difference @ difference - projected @ cho_solve(inner, projected))

@@ -1,0 +1,126 @@
+"""Diagnose: find where simulation and measurement disagree, name what is missing, add it, show that the gap shrinks."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from edream.calibration.settings import Limits, RobotSettings, ScaledBy
+from edream.core.stage import Artifact, Bundle, Source, Stage, Work
+from edream.diagnosis.evidence import evidence
+from edream.diagnosis.next_motion import Motion, suggest
+from edream.diagnosis.problem import Settings, prepare
+from edream.diagnosis.verdict import Diagnosis, diagnose
+from edream.ingest.episode_file import write_commands
+from edream.ingest.stored import stored_episodes
+from edream.sim.emit import emit
+from edream.sim.simulation import Scaling
+
+
+HOOK = "hook.py"
+
+
+@dataclass(frozen=True)
+class DiagnoseOptions:
+    """What to look for and how to judge; see `conf/diagnose/default.yaml` for each."""
+
+    nuisance: tuple[str, ...]
+    ties: tuple[tuple[str, ...], ...] = ()
+    scaled: Mapping[str, ScaledBy] = field(default_factory=dict)
+    limits: Mapping[str, Limits] = field(default_factory=dict)
+    effects: tuple[str, ...] = ()
+    ignored: tuple[str, ...] = ()
+    joints: tuple[str, ...] = ()
+    until: float | None = None
+    proof: float = 0.25
+    holdout: tuple[str, ...] = ()
+    stride: int = 1
+    model_floor: float = 5e-4
+    gain: float = 0.1
+    most: int = 4
+    next_motion: bool = True
+
+
+@dataclass(frozen=True)
+class DiagnoseConfig:
+    """What diagnose reads."""
+
+    robot: RobotSettings
+    diagnose: DiagnoseOptions
+    seed: int
+
+
+def sources(config: DiagnoseConfig) -> Mapping[str, Source]:
+    """The robot's model with all its files."""
+    return {"robot": config.robot.content()}
+
+
+def run(inputs: Mapping[str, Artifact], config: DiagnoseConfig, work: Work) -> Bundle:
+    """Diagnose the ingested motions against the robot's model."""
+    robot = config.robot.load()
+    problem = prepare(robot, list(stored_episodes(inputs["ingest"])), settings_of(config))
+    with work.progress(None, "diagnosing") as bar:
+        found = diagnose(problem, lambda text, n: bar.update(n))
+    made = emit(found.after.objective.simulated, found.after.values)
+    bundle: dict[str, Any] = {**evidence(found), "model.xml": made.mjcf, "difference.txt": made.difference}
+    if made.hook:
+        bundle[HOOK] = made.hook
+    if config.diagnose.next_motion and len(found.contenders) > 1:
+        bundle |= motion_files(suggest(problem, [fit for _, fit in found.contenders], work.rng), work)
+    return bundle | {"summary.json": summary(found, bundle)}
+
+
+def motion_files(motion: Motion, work: Work) -> Bundle:
+    """The motion to record next: a table (time [s], a column [rad] a joint) and the same as MCAP."""
+    rows = [",".join(("time", *motion.joints))]
+    rows += [",".join(f"{x:.6f}" for x in (t, *row)) for t, row in zip(motion.times, motion.command, strict=True)]
+    path = work.folder("next_motion") / "next_motion.mcap"
+    write_commands(motion.joints, motion.times, motion.command, path)
+    return {"next_motion.csv": "\n".join(rows) + "\n", "next_motion.mcap": path}
+
+
+def settings_of(config: DiagnoseConfig) -> Settings:
+    """The diagnosis' own settings from the config."""
+    options = {key: value for key, value in vars(config.diagnose).items() if key not in ("next_motion", "scaled", "limits")}
+    scaled = {name: Scaling(one.condition, one.reference) for name, one in config.diagnose.scaled.items()}
+    limits = {name: {k: v for k, v in vars(one).items() if v is not None} for name, one in config.diagnose.limits.items()}
+    return Settings(**options, scaled=scaled, limits=limits, seed=config.seed)
+
+
+def summary(found: Diagnosis, bundle: Mapping[str, Any]) -> dict[str, Any]:
+    """The result as one object; file names stand for their paths."""
+    problem = found.problem
+    return {
+        "sentence": found.sentence,
+        "verdict": found.verdict,
+        "effects": [
+            {
+                "name": one.name,
+                "targets": list(one.targets),
+                "values": dict(one.values),
+                "intervals": {name: list(pair) for name, pair in one.intervals.items()},
+                "units": dict(one.units),
+                "closed": None if one.closed != one.closed else one.closed,
+                "runner_up": None if one.runner_up is None else {"candidate": one.runner_up[0], "closed": one.runner_up[1]},
+                "confusable_with": list(one.confusable_with),
+            }
+            for one in found.effects
+        ],
+        "gap": {
+            "published_rad": found.published_rms,
+            "before_rad": found.before_rms,
+            "after_rad": found.after_rms,
+            "noise_floor_rad": problem.noise_floor,
+        },
+        "formula": None if found.remainder is None else found.remainder.formula,
+        "parameters": found.after.space.mapping(found.after.values),
+        "motions": {
+            "fitted": [window.episode.name for window in problem.fitted],
+            "proof": [window.episode.name for window in problem.proof],
+        },
+        "model": "model.xml",
+        "hook": HOOK if HOOK in bundle else None,
+        "next_motion": "next_motion.csv" if "next_motion.csv" in bundle else None,
+    }
+
+
+ENTRY = Stage("diagnose", 1, ("ingest",), DiagnoseConfig, run, sources, ("mujoco", "numpy", "scipy"))
