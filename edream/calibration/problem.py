@@ -24,7 +24,7 @@ class FitterOptions:
 
     Attributes:
         iterations: most Gauss-Newton steps.
-        polish: most Gauss-Newton steps after the surrogate.
+        polish: most Gauss-Newton steps on all windows, after coming near on few or through the surrogate.
         annealing_steps: steps of simulated annealing (SimplerEnv: 400).
         evaluations: most parameter sets that CMA-ES simulates.
         descent_steps: Adam steps through the surrogate, each round.
@@ -32,7 +32,7 @@ class FitterOptions:
     """
 
     iterations: int = 12
-    polish: int = 4
+    polish: int = 10
     annealing_steps: int = 400
     evaluations: int = 600
     descent_steps: int = 80

@@ -3,7 +3,7 @@
 import numpy as np
 
 from edream.calibration.descent import descend
-from edream.calibration.polish import polish
+from edream.calibration.polish import polish_in_stages
 from edream.calibration.problem import FitResult, Fitter, Problem
 from edream.core.errors import EdreamError
 
@@ -50,10 +50,11 @@ class SurrogateFit(Fitter):
                 extra += simulated
         costs = problem.cost(np.array(candidates))
         best = candidates[int(np.argmin(costs))]
-        polished = polish(problem.objective, space.from_unit(best), problem.options.polish)
+        options = problem.options
+        polished, near = polish_in_stages(problem.objective, space.from_unit(best), options.iterations, options.polish)
         cost = float(problem.cost(space.to_unit(polished.values))[0])
         facts["confirmed"] = [float(c) for c in costs]
-        simulations = problem.objective.simulations - before + extra
+        simulations = problem.objective.simulations - before + extra + near
         return FitResult(polished.values, cost, (*(float(c) for c in costs), cost), simulations, polished.converged, facts)
 
 

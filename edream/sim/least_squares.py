@@ -9,6 +9,7 @@ from scipy.optimize import least_squares
 from edream.core.parameters import ParameterSpace
 from edream.sim.objective import Objective, rms
 
+REFRESH = 3
 STEP = 2e-3  # of the unit box: large enough to cross the kinks of dry friction, small enough to be a derivative
 
 
@@ -43,12 +44,35 @@ def jacobian(
     return ((moved - base) / steps[:, None]).T
 
 
+class Slopes:
+    """Jacobians along a search: one in `every` is simulated, the others follow from it by Broyden's rank-one update."""
+
+    def __init__(self, objective: Objective, space: ParameterSpace, every: int) -> None:
+        self._objective, self._space, self._every = objective, space, every
+        self._count = 0
+        self._last: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
+
+    def at(self, unit: Float[np.ndarray, "P"], residual: Float[np.ndarray, "R"]) -> Float[np.ndarray, "R P"]:
+        """d residual / d unit-box coordinate."""
+        if self._last is None or self._count % self._every == 0:
+            slope = jacobian(self._objective, self._space, unit, residual)
+        else:
+            there, before, slope = self._last
+            step = unit - there
+            if np.linalg.norm(step) >= STEP:  # a shorter step sees the kinks of dry friction, not the slope
+                slope = slope + np.outer((residual - before - slope @ step) / (step @ step), step)
+        self._count += 1
+        self._last = (unit.copy(), residual, slope)
+        return slope
+
+
 def solve(
     objective: Objective,
     start: Float[np.ndarray, "P"] | None = None,
     noise: float | None = None,
     iterations: int = 12,
     tolerance: float = 1e-4,
+    secant: bool = False,
 ) -> Solution:
     """Fit every parameter of the objective's robot to its recordings.
 
@@ -61,6 +85,8 @@ def solve(
             Where None, the residual's own root mean square, inflated by its autocorrelation.
         iterations: most Jacobians computed.
         tolerance: relative change of the cost, and of the unit-box step, that ends the fit.
+        secant: simulate every third Jacobian only, and bring the last one up to date between, from the residuals that are there.
+            Source: Broyden, Mathematics of Computation 19, 1965.
     """
     space = objective.simulated.space
     centre, spread = space.unit_prior()
@@ -79,9 +105,11 @@ def solve(
     def function(unit: np.ndarray) -> np.ndarray:
         return np.concatenate([data(unit) / scale, ((unit - centre) / spread)[known]])
 
+    slopes = Slopes(objective, space, REFRESH if secant else 1)
+
     def derivative(unit: np.ndarray) -> np.ndarray:
         prior = np.diag(1.0 / spread)[known]
-        return np.concatenate([jacobian(objective, space, unit, data(unit)) / scale, prior])
+        return np.concatenate([slopes.at(unit, data(unit)) / scale, prior])
 
     if not len(space):
         return Solution(space, np.zeros(0), first, np.zeros((len(first), 0)), True, rms(first), rms(first))
