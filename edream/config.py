@@ -14,7 +14,10 @@ from omegaconf.errors import OmegaConfBaseException
 from edream.core.errors import EdreamError, unknown_name
 
 T = TypeVar("T")
-PATHS = frozenset({"data", "runs", "robot.mjcf", "record.out", "replay.hook"})
+PATHS = frozenset(
+    {"data", "runs", "robot.mjcf", "record.out", "replay.hook", "camera.file", "camera.marks", "render.scene"}
+    | {"masks.plate", "masks.truth", "masks.folder", "masks.weights", "dream.codec.weights", "dream.denoiser.weights"}
+)
 EXPECTED: dict[Any, str] = {
     int: "an integer",
     float: "a number",

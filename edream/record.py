@@ -1,16 +1,21 @@
 """`edream record`: the make-believe real robot leaves a data set as a user would bring it, and the truth sealed beside it."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from edream import catalog
+from edream.core.episode import Recording
 from edream.core.errors import EdreamError
-from edream.core.format import Format
+from edream.core.format import Format, ReadOptions
+from edream.reality.filming import Filming
+from edream.reality.look import Look
 from edream.reality.recorder import Recorder, make_recordings
 from edream.reality.truth import draw, seal
+from edream.sim.camera import graphics
 from edream.sim.robot import RobotModel
 
 
@@ -31,6 +36,7 @@ class RecordConfig:
         noise: standard deviation of encoder noise [rad].
         counts: encoder counts per turn.
         jitter: standard deviation of the recorder's clock [s].
+        video: whether a camera films it; its look and what moves about stand in `look`.
     """
 
     out: Path
@@ -45,6 +51,8 @@ class RecordConfig:
     noise: float = 0.0002
     counts: int = 16384
     jitter: float = 0.0003
+    video: bool = False
+    look: Look = field(default_factory=Look)
 
     def __post_init__(self) -> None:
         for name in ("motions", "seconds", "rate", "step", "counts"):
@@ -81,9 +89,17 @@ def record(robot: RobotModel, config: RecordConfig, seed: int = 0) -> dict[str, 
     truths, motions = np.random.SeedSequence(seed).spawn(2)
     truth = draw(robot, config.effects, np.random.default_rng(truths), config.deviation, config.at)
     recorder = Recorder(config.rate, config.jitter, config.noise, config.counts, config.step)
-    made = make_recordings(robot, truth, int(motions.generate_state(1)[0]), config.motions, config.seconds, recorder)
+    filming = Filming(robot, config.look, seed) if config.video else None
+    chance = int(motions.generate_state(1)[0])
+    made = make_recordings(robot, truth, chance, config.motions, config.seconds, recorder, filming)
     out.parent.mkdir(parents=True, exist_ok=True)
-    form.write(made, out)
+    if filming is None:
+        form.write(made, out)
+        filmed = {}
+    else:
+        with graphics():
+            form.write(made, out)
+            filmed = filming.leave(_names(form, out, made, config.rate), out)
     return {
         "data": str(out),
         "truth": str(sealed),
@@ -92,7 +108,20 @@ def record(robot: RobotModel, config: RecordConfig, seed: int = 0) -> dict[str, 
         "recordings": len(made),
         "seconds": float(sum(one.times[-1] for one in made)),
         "joints": list(robot.joints),
+        **filmed,
     }
+
+
+def _names(form: Format, out: Path, made: Sequence[Recording], rate: float) -> list[str]:
+    """What a reader of the data set will call each recording; a format may give names of its own."""
+    names = [""] * len(made)
+    for read in form.recordings(out, ReadOptions(fps=rate)):
+        if isinstance(read, Recording):
+            apart = [
+                np.abs(read.position[0] - one.position[0]).sum() + np.abs(read.command[-1] - one.command[-1]).sum() for one in made
+            ]
+            names[int(np.argmin(apart))] = read.name
+    return names
 
 
 def truth_path(out: Path) -> Path:

@@ -6,6 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
+from edream.catalog import load
+from edream.core.effect import Effect
 from edream.diagnosis.candidates import Candidate, placement
 from edream.diagnosis.descent import Fit, descend, step_from
 from edream.diagnosis.problem import Problem
@@ -19,7 +21,7 @@ FOLDS = 5
 REFITTED = 8
 DRAWS = 4000
 SERIOUS_SHARE = 0.01
-SMALL = 10  # parameters up to which every refit differences all of them and starts from several places
+SMALL, FAR = 10, 20.0  # at most so many numbers and a gap of so many floors: every refit starts from several places
 STRONG = 5.0  # probes
 
 
@@ -109,6 +111,7 @@ def forward(problem: Problem, fit: Fit, done: Callable[[str, int], object] = lam
             break
         scored = screen(problem, fit, lambda n: done("screening", n))
         trials = try_best(problem, fit, errors, scored, lambda n: done("refitting", n))
+        trials = with_confusable(problem, fit, errors, scored, trials, lambda n: done("refitting", n))
         taken = next((t for t in trials if passes(problem, t)), None)
         rounds.append(Round(fit, errors, scored, trials, taken))
         if taken is None:
@@ -126,7 +129,7 @@ def try_best(
 ) -> list[Trial]:
     """Refit the candidates with the largest shares; best on left-out motions first."""
     serious = [s for s in scored if s.share >= SERIOUS_SHARE][:REFITTED]
-    if len(fit.unit) <= SMALL:
+    if far_off(problem, fit, errors):
         serious += [s for s in {s.candidate.effect: s for s in reversed(scored)}.values() if s not in serious]
     trials = []
     for one in serious:
@@ -135,11 +138,33 @@ def try_best(
     return sorted(trials, key=lambda t: -t.closed)
 
 
+def with_confusable(
+    problem: Problem,
+    fit: Fit,
+    errors: Float[np.ndarray, "M"],
+    scored: Sequence[Scored],
+    trials: Sequence[Trial],
+    done: Callable[[int], object] = lambda n: None,
+) -> list[Trial]:
+    """The trials and those of the effects that the best one is known to be confused with, so that no twin goes unheard."""
+    best = next((t for t in trials if passes(problem, t)), None)
+    if best is None:
+        return list(trials)
+    known = load("effects", best.candidate.effect, Effect).confusable
+    tried = {t.candidate.effect for t in trials}
+    twins = {s.candidate.effect: s for s in reversed(scored) if s.candidate.effect in known and s.candidate.effect not in tried}
+    more = []
+    for one in twins.values():
+        more.append(refit(problem, fit, errors, one))
+        done(1)
+    return sorted([*trials, *more], key=lambda t: -t.closed)
+
+
 def refit(problem: Problem, fit: Fit, errors: Float[np.ndarray, "M"], scored: Scored) -> Trial:
     """One candidate, from where the score test puts it, with all nuisance numbers free."""
     place = placement(problem, scored.candidate)
     extended, absent = extend(fit, [place])
-    if len(fit.unit) > SMALL:
+    if not far_off(problem, fit, errors):
         start = with_quantities(extended, absent, [place], [scored.start])
         refitted = descend(with_column(fit, extended, start), fresh_columns(fit, extended), iterations=6)
     else:
@@ -152,11 +177,13 @@ def refit(problem: Problem, fit: Fit, errors: Float[np.ndarray, "M"], scored: Sc
     return Trial(scored.candidate, scored.share, refitted, left, float(gain.mean()) / gap, low > 0.0)
 
 
-def bold_starts(problem: Problem, place: Placement, scored: Scored) -> list[Mapping[str, float]]:
-    """Where to begin with few parameters: where the score test says, and with strong versions of the effect.
+def far_off(problem: Problem, fit: Fit, errors: Float[np.ndarray, "M"]) -> bool:
+    """Whether the gap is so large that a linear test points anywhere, and the model so small that trying is cheap."""
+    return len(fit.unit) <= SMALL and float(np.sqrt(errors.mean())) > FAR * problem.floor
 
-    Far from the truth the score test, which is linear, points to the wrong size; small problems can afford to try.
-    """
+
+def bold_starts(problem: Problem, place: Placement, scored: Scored) -> list[Mapping[str, float]]:
+    """Where to begin far from the truth: where the score test says, and with strong versions of the effect."""
     strong = [scaled_probe(place, problem, probe, STRONG) for probe in place.effect.probes(problem.robot.model, place.targets)]
     return [scored.start, *(one for one in strong[:3] if one is not None)]
 

@@ -15,6 +15,7 @@ from edream.sim.simulation import SimulatedRobot
 
 STARTS = 128
 DESCENTS_TIMES_NUMBERS = 60
+FAR = 20.0  # floors of error from which a valley with incredible numbers may be the wrong one
 REACH = 0.5  # of the unit box, on either side of the first fit
 
 
@@ -30,7 +31,7 @@ def fit_nuisance(problem: Problem) -> Fit:
     bare = SimulatedRobot(problem.robot, nuisance_placements(problem))
     objective = replace(published(problem), simulated=bare)
     first = descend(begin(objective, bare.space.to_unit(bare.space.start())), None, iterations=8, tolerance=0.01)
-    if not credible(first):
+    if first.rms > FAR * problem.floor and not credible(first):
         first = search_wide(first, problem.settings.seed)
     believed = SimulatedRobot(problem.robot, nuisance_placements(problem, bare.space.mapping(first.values)))
     again = replace(objective, simulated=believed, simulations=0)

@@ -107,6 +107,7 @@ class Remainder:
         fit: the model with the term.
         errors: left-out mean squared errors with it [rad^2], (M,).
         real: whether left-out motions confirm it.
+        beside_names: whether it describes what named effects leave, rather than the whole gap.
     """
 
     joint: str
@@ -115,9 +116,10 @@ class Remainder:
     fit: Fit
     errors: Float[np.ndarray, "M"]
     real: bool
+    beside_names: bool = False
 
 
-def find_remainder(problem: Problem, fit: Fit) -> Remainder | None:
+def find_remainder(problem: Problem, fit: Fit, beside_names: bool = False) -> Remainder | None:
     """Describe what is left on the joint where most is left; None where no term explains enough."""
     joint = _worst_joint(problem, fit)
     shape, candidates = _candidates(problem, joint)
@@ -145,7 +147,7 @@ def find_remainder(problem: Problem, fit: Fit) -> Remainder | None:
     low, _ = bootstrap(before - errors, problem.settings.seed)
     gap = max(float(before.mean()) - problem.floor**2, 1e-18)
     real = low > 0.0 and float((before - errors).mean()) / gap >= problem.settings.gain
-    return Remainder(joint, _formula(refitted, small), small, refitted, errors, real)
+    return Remainder(joint, _formula(refitted, small), small, refitted, errors, real, beside_names)
 
 
 def _worst_joint(problem: Problem, fit: Fit) -> str:

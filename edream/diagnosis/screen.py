@@ -1,8 +1,9 @@
 """Score test: which candidate's fingerprint is in what the nuisance numbers cannot explain?
 
 At the best fit without the candidate let r be the residual and J its Jacobian. A probe simulation with a little of the candidate
-changes the residual by D. Project J out of both (the nuisance numbers would take that part). The share of r that the candidate can
-explain, to first order, is
+changes the residual by D. Project J out of both (the nuisance numbers would take that part). What is believed of the nuisance numbers
+beforehand counts as further rows: how far they were pushed, which a candidate does not change by itself. The share of r that the
+candidate can explain, to first order, is
 
     share = (D' . r')^2 / (|D'|^2 |r'|^2),   and its size is alpha = - (D' . r') / |D'|^2 probes.
 
@@ -42,8 +43,9 @@ class Scored:
 
 def screen(problem: Problem, fit: Fit, done: Callable[[int], object] = lambda n: None) -> list[Scored]:
     """Every effect at every place, best first. Calls `done(n)` as n rounds are finished."""
-    base = Projection(fit.jacobian)
-    residual = base.out(fit.residual)
+    away, pull = prior_rows(fit)
+    base = Projection(np.vstack([fit.jacobian, pull]))
+    residual = base.out(np.concatenate([fit.residual, away]))
     total = float(residual @ residual)
     present = {(p.effect.name, p.targets) for p in fit.objective.simulated.placements}
     first: list[Scored] = []
@@ -60,6 +62,13 @@ def screen(problem: Problem, fit: Fit, done: Callable[[int], object] = lambda n:
     second = [again for s in (*chosen, *joined) if (again := confirm(problem, fit, s, base, total)) is not None]
     done(1)
     return sorted(second, key=lambda s: -s.share)
+
+
+def prior_rows(fit: Fit) -> tuple[Float[np.ndarray, "P"], Float[np.ndarray, "P P"]]:
+    """The prior as residual rows [rad] at the fit, and their Jacobian."""
+    centre, spread = fit.space.unit_prior()
+    weight = np.where(np.isfinite(spread), fit.scale / spread, 0.0)
+    return weight * (fit.unit - centre), np.diag(weight)
 
 
 def _joined(candidate: Candidate, first: Sequence[Scored]) -> Scored:
@@ -90,14 +99,15 @@ def _probe_round(problem: Problem, fit: Fit, candidates: Sequence[Candidate], to
     count = max(len(p) for p in probes)
     sets = [absent] + [with_quantities(extended, absent, placements, [p[min(i, len(p) - 1)] for p in probes]) for i in range(count)]
     residuals = extended.residuals(np.array(sets))
+    away, pull = prior_rows(fit)
     out = []
     for c, place, own in zip(candidates, placements, probes, strict=True):
         rows, columns = _own_rows(problem, fit, c)
-        projection = Projection(fit.jacobian[np.ix_(rows, columns)])
-        here = projection.out(residuals[0][rows])
+        projection = Projection(np.vstack([fit.jacobian[np.ix_(rows, columns)], pull[np.ix_(columns, columns)]]))
+        here = projection.out(np.concatenate([residuals[0][rows], away[columns]]))
         best = Scored(c, own[0], 0.0)
         for i, probe in enumerate(own):
-            change = projection.out(residuals[i + 1][rows] - residuals[0][rows])
+            change = projection.out(np.concatenate([residuals[i + 1][rows] - residuals[0][rows], np.zeros(len(columns))]))
             size = float(change @ change)
             if size <= 1e-16 * len(rows):
                 continue
@@ -130,7 +140,8 @@ def confirm(problem: Problem, fit: Fit, scored: Scored, base: Projection, total:
     if not starts:
         return None
     residuals = extended.residuals(np.array([with_quantities(extended, absent, [place], [start]) for start in starts]))
-    left = [float(np.sum(base.out(r) ** 2)) for r in residuals]
+    away, _ = prior_rows(fit)
+    left = [float(np.sum(base.out(np.concatenate([r, away])) ** 2)) for r in residuals]
     best = int(np.argmin(left))
     share = 1.0 - left[best] / total
     return Scored(scored.candidate, starts[best], share) if share > 0.0 else None

@@ -15,6 +15,7 @@ from edream.diagnosis.descent import Fit
 from edream.diagnosis.nuisance import fit_nuisance, published
 from edream.diagnosis.problem import Problem
 from edream.diagnosis.remainder import Remainder, find_remainder
+from edream.diagnosis.suspects import Suspect, find_suspects
 from edream.sim.objective import rms
 
 ALIKE = 0.9  # a rival that closes this share of what the winner closes may be the true one
@@ -100,14 +101,17 @@ def diagnose(problem: Problem, done: Callable[[str, int], object] = lambda text,
     ladder += [(_label(t), np.sqrt(proof_errors(problem, t.fit))) for t in taken]
     fit, kept = backward(problem, fit, [t.candidate for t in taken])
     trials = [t for t in taken if t.candidate in kept]
-    effects = [_named(problem, fit, t, rounds) for t in trials] or off_nominal(problem, fit)
-    remainder = None
-    if needs_remainder(problem, rounds, trials):
-        remainder = find_remainder(problem, fit)
-        done("remainder", 1)
-    verdict = judge(problem, rounds, trials, effects, remainder)
-    if verdict == "unnamed" and remainder is not None:
+    effects = [_named(problem, fit, t, rounds) for t in trials]
+    suspects: list[Suspect] = []
+    if not trials and (numbers := off_nominal(problem, fit)):
+        suspects = find_suspects(problem, fit, lambda n: done("looking behind strange numbers", n))
+        effects = with_suspects(problem, numbers, suspects)
+    remainder = unexplained(problem, before, fit, rounds, trials)
+    done("remainder", 1)
+    verdict = judge(effects, remainder)
+    if remainder is not None:
         fit = remainder.fit
+        effects = [one for one in effects if remainder.beside_names]
         ladder.append(("remainder", np.sqrt(proof_errors(problem, fit))))
     after = np.sqrt(proof_errors(problem, fit))
     return Diagnosis(
@@ -122,13 +126,17 @@ def diagnose(problem: Problem, done: Callable[[str, int], object] = lambda text,
         after_rms=rms(after),
         rounds=rounds,
         ladder=ladder,
-        remainder=remainder if verdict == "unnamed" else None,
-        contenders=contenders(trials, effects, rounds) if verdict == "cannot_tell" else (),
+        remainder=remainder,
+        contenders=contenders(fit, trials, effects, rounds, suspects) if verdict == "cannot_tell" else (),
     )
 
 
-def contenders(trials: Sequence[Trial], effects: Sequence[Named], rounds: Sequence[Round]) -> list[tuple[str, Fit]]:
+def contenders(
+    fit: Fit, trials: Sequence[Trial], effects: Sequence[Named], rounds: Sequence[Round], suspects: Sequence[Suspect]
+) -> list[tuple[str, Fit]]:
     """The models that remain possible where the last doubtful effect has rivals: its own and one for each rival."""
+    if suspects:
+        return [("strange numbers", fit), *((s.candidate.label, s.fit) for s in suspects)]
     for trial, named in reversed(list(zip(trials, effects, strict=False))):
         if named.confusable_with:
             own = next(r for r in rounds if r.taken is trial)
@@ -197,31 +205,46 @@ def off_nominal(problem: Problem, fit: Fit) -> list[Named]:
     return found if len(found) <= max(2, count // 4) else []
 
 
-def needs_remainder(problem: Problem, rounds: Sequence[Round], trials: Sequence[Trial]) -> bool:
-    """Whether a real gap is left that the named effects close too little of."""
-    start, end = rounds[0].errors.mean(), (trials[-1].errors if trials else rounds[0].errors).mean()
-    floor = problem.floor**2
-    if np.sqrt(start) <= REAL_GAP * problem.floor or np.sqrt(end) <= REAL_GAP * problem.floor:
-        return False
-    return float((start - end) / (start - floor)) < 0.9
+def with_suspects(problem: Problem, numbers: list[Named], suspects: Sequence[Suspect]) -> list[Named]:
+    """Strange numbers, or the one effect that would make them ordinary: then that, and the numbers as what it may be confused with."""
+    if not suspects:
+        return numbers
+    best, others = suspects[0], suspects[1:]
+    effect = load("effects", best.candidate.effect, Effect)
+    values, intervals, units = numbers_of(problem, best.fit, best.candidate)
+    rivals_ = (*(Candidate(n.name, n.targets).label for n in numbers), *(s.candidate.label for s in others))
+    return [Named(effect.name, effect.summary, best.candidate.targets, values, intervals, units, float("nan"), None, rivals_)]
 
 
-def judge(
-    problem: Problem, rounds: Sequence[Round], trials: Sequence[Trial], effects: Sequence[Named], remainder: Remainder | None
-) -> Verdict:
-    """The verdict that the evidence allows."""
+def unexplained(problem: Problem, before: Fit, fit: Fit, rounds: Sequence[Round], trials: Sequence[Trial]) -> Remainder | None:
+    """What has no name: a formula for what the named effects leave, or one that does better alone than all of them together.
+
+    None where the gap is closed, or what is left is small beside what has a name, or no formula holds on left-out motions.
+    """
+    errors = trials[-1].errors if trials else rounds[0].errors
+    start, end, floor = float(rounds[0].errors.mean()), float(errors.mean()), problem.floor**2
+    if np.sqrt(end) <= REAL_GAP * problem.floor:
+        return None
+    beside = find_remainder(problem, fit, beside_names=bool(trials))
+    if beside is not None and beside.real:
+        left = float(beside.errors.mean())
+        if not trials or (start - end) / (start - floor) < ENOUGH or left - floor < 0.5 * (end - floor):
+            return beside
     if not trials:
-        if effects:
-            return "named"
-        gap = np.sqrt(rounds[0].errors.mean()) > REAL_GAP * problem.floor
-        return "unnamed" if gap and remainder is not None and remainder.real else "none"
-    start, end = float(rounds[0].errors.mean()), float(trials[-1].errors.mean())
-    closed = (start - end) / max(start - problem.floor**2, 1e-18)
-    if remainder is not None and remainder.real:
-        left = float(remainder.errors.mean())
-        halves = left - problem.floor**2 < 0.5 * (end - problem.floor**2)
-        if closed < ENOUGH or halves:
-            return "unnamed"
+        return None
+    alone = find_remainder(problem, before)
+    if alone is None or not alone.real:
+        return None
+    better, _ = bootstrap(errors - alone.errors, problem.settings.seed)
+    return alone if better > 0.0 and float(alone.errors.mean()) - floor < 0.5 * (end - floor) else None
+
+
+def judge(effects: Sequence[Named], remainder: Remainder | None) -> Verdict:
+    """The verdict that the evidence allows."""
+    if remainder is not None:
+        return "unnamed"
+    if not effects:
+        return "none"
     return "cannot_tell" if any(one.confusable_with for one in effects) else "named"
 
 
@@ -229,10 +252,11 @@ def sentence(verdict: Verdict, effects: Sequence[Named], remainder: Remainder | 
     """The outcome in words that a roboticist uses."""
     if verdict == "none":
         return "Your simulator agrees with these recordings down to their noise; nothing is missing that they could show."
+    parts = [f"{one.summary}{' on ' + _and(one.targets) if one.targets else ''}" for one in effects]
     if verdict == "unnamed":
         what = f" It behaves like {remainder.formula} on {remainder.joint}." if remainder else ""
-        return "Something real is missing that no effect in the library explains." + what
-    parts = [f"{one.summary}{' on ' + _and(one.targets) if one.targets else ''}" for one in effects]
+        beside = f"Your simulator lacks {_and(parts)}, and something else" if parts else "Something real is missing"
+        return f"{beside} that no effect in the library explains.{what}"
     if verdict == "cannot_tell":
         doubtful = [one for one in effects if one.confusable_with]
         names = "; ".join(f"{one.name} may be {' or '.join(one.confusable_with)}" for one in doubtful)

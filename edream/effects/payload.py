@@ -9,6 +9,7 @@ from jaxtyping import Float
 from edream.core.effect import Effect, Fields, Values
 from edream.core.parameters import Parameter
 
+ASIDE = 0.07  # m
 REACH = 0.15  # m, from the body's own centre of mass or its first site
 
 
@@ -39,7 +40,10 @@ class Payload(Effect):
 
     def probes(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[dict[str, float], ...]:
         mass, *places = self.parameters(model, targets)
-        return ({"mass": 0.04 * mass.high} | {place.name: place.start for place in places},)
+        centre = {"mass": 0.04 * mass.high} | {place.name: place.start for place in places}
+        # where it hangs decides at which poses it pulls
+        beside = [centre | {place.name: place.start + side * ASIDE} for place in places for side in (-1.0, 1.0)]
+        return (centre, *beside)
 
     def write(self, fields: Fields, target: str, values: Values) -> None:
         model, body = fields.model, fields.model.body(target).id

@@ -1,15 +1,17 @@
 """A recording session with the make-believe robot: motions in, recordings out, as a user's recorder would leave them."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from edream.core.episode import Recording
+from edream.core.episode import Recording, Video
 from edream.reality.integrator import Track, move
 from edream.reality.motions import commands
 from edream.reality.truth import Truth
 from edream.sim.robot import RobotModel
+
+Film = Callable[[int, np.ndarray, np.ndarray], Mapping[str, Video]]
 
 
 @dataclass(frozen=True)
@@ -36,7 +38,13 @@ class Recorder:
 
 
 def make_recordings(
-    robot: RobotModel, truth: Truth, seed: int, n_motions: int = 12, seconds: float = 10.0, recorder: Recorder | None = None
+    robot: RobotModel,
+    truth: Truth,
+    seed: int,
+    n_motions: int = 12,
+    seconds: float = 10.0,
+    recorder: Recorder | None = None,
+    film: Film | None = None,
 ) -> list[Recording]:
     """Record the make-believe robot as it follows motions drawn from `seed`.
 
@@ -47,6 +55,7 @@ def make_recordings(
         n_motions: how many recordings.
         seconds: length of each [s].
         recorder: how it is recorded.
+        film: `film(index, times (T,), joints (T, nq))` gives the cameras' images of a motion, from where its links truly were.
     """
     recorder = recorder or Recorder()
     moving, noising = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
@@ -56,7 +65,7 @@ def make_recordings(
     times = np.maximum(due + jitter, 0.0)
     times[:, 0] = 0.0
     track = perform(robot, truth, times, wanted, recorder.step, recorder.settle)
-    return [_recording(robot, truth, recorder, track, times, wanted, index, noising) for index in range(n_motions)]
+    return [_recording(robot, truth, recorder, track, times, wanted, index, noising, film) for index in range(n_motions)]
 
 
 def perform(robot: RobotModel, truth: Truth, times: np.ndarray, wanted: np.ndarray, step: float, settle: float) -> Track:
@@ -85,11 +94,13 @@ def _recording(
     wanted: np.ndarray,
     index: int,
     rng: np.random.Generator,
+    film: Film | None = None,
 ) -> Recording:
     model = robot.model
     plant = truth.plant(model)
     clock = np.arange(len(track.encoder)) * recorder.step - round(recorder.settle / recorder.step) * recorder.step
     encoder = track.encoder[:, index]
+    seen = np.stack([np.interp(times[index], clock, column) for column in track.link[:, index].T], axis=1) if film else None
     for term in truth.terms(model):
         encoder = term.record(encoder, clock)
     position = np.stack([np.interp(times[index], clock, column) for column in encoder.T], axis=1)
@@ -108,5 +119,6 @@ def _recording(
         command_channels=robot.joints,
         command=wanted[index][:, order],
         conditions=dict(recorder.conditions),
+        videos=film(index, times[index], seen) if film and seen is not None else {},
         notes={"robot": robot.name},
     )

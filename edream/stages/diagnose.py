@@ -15,7 +15,6 @@ from edream.ingest.stored import stored_episodes
 from edream.sim.emit import emit
 from edream.sim.simulation import Scaling
 
-
 HOOK = "hook.py"
 
 

@@ -1,0 +1,75 @@
+"""Effects that hide in ordinary numbers: a payload looks like a weaker gain and more inertia, and leaves no gap behind."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from edream.diagnosis.candidates import Candidate
+from edream.diagnosis.decide import left_out_errors, refit
+from edream.diagnosis.descent import Fit, cost, descend
+from edream.diagnosis.problem import Problem, nuisance_placements
+from edream.diagnosis.screen import screen
+from edream.sim.simulation import SimulatedRobot
+
+EVIDENCE = 4.0  # by how much the cost (-2 log posterior) must fall
+HOMEWARD = 0.5  # share of the strangeness that a suspect must explain
+REFITTED = 4
+AS_GOOD = 1.03  # times the error without it
+
+
+@dataclass(frozen=True, eq=False)
+class Suspect:
+    """An effect with which the nuisance numbers are ordinary and the recordings are met as well.
+
+    Attributes:
+        candidate: effect and place.
+        fit: the model with it.
+        relief: by how much the cost falls.
+    """
+
+    candidate: Candidate
+    fit: Fit
+    relief: float
+
+
+def find_suspects(problem: Problem, fit: Fit, done: Callable[[int], object] = lambda n: None) -> list[Suspect]:
+    """The effects that make strange nuisance numbers ordinary, most relieving first.
+
+    Every published number is believed to within 35 % here; what stands at zero in the published model is not believed at all.
+    """
+    believing = believe_published(problem, fit)
+    strange = strangeness(believing)
+    if strange < EVIDENCE:
+        return []
+    errors = left_out_errors(problem, fit)
+    found = []
+    for one in screen(problem, believing, done)[:REFITTED]:
+        trial = refit(problem, believing, errors, one)
+        relief = cost(replace(believing, scale=trial.fit.scale)) - cost(trial.fit)
+        done(1)
+        if relief > max(EVIDENCE, HOMEWARD * strange) and np.sqrt(trial.errors.mean()) < AS_GOOD * np.sqrt(errors.mean()):
+            found.append(Suspect(one.candidate, trial.fit, relief))
+    return sorted(found, key=lambda s: -s.relief)
+
+
+def believe_published(problem: Problem, fit: Fit) -> Fit:
+    """The same model fitted again under priors at the published numbers."""
+    bare = SimulatedRobot(problem.robot, nuisance_placements(problem))
+    published = dict(zip(bare.space.names, bare.space.start(), strict=True))
+    placements = []
+    for place in nuisance_placements(problem, published):
+        bounds = {
+            quantity: {"start": known["start"]} if published[place.full_name(quantity)] <= 0.0 else known
+            for quantity, known in (place.bounds or {}).items()
+        }
+        placements.append(replace(place, bounds=bounds))
+    objective = replace(fit.objective, simulated=SimulatedRobot(problem.robot, tuple(placements)), simulations=0)
+    return descend(replace(fit, objective=objective), None, iterations=3)
+
+
+def strangeness(fit: Fit) -> float:
+    """How far the numbers lie from what is believed: -2 log prior."""
+    centre, spread = fit.space.unit_prior()
+    known = np.isfinite(spread)
+    return float((((fit.unit - centre) / spread)[known] ** 2).sum())

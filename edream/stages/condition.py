@@ -1,0 +1,144 @@
+"""Condition: what the dream model is shown of each episode, layer by layer, and what it should make of it."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from edream.core.camera import Camera, from_json
+from edream.core.episode import Episode
+from edream.core.scene import Scene
+from edream.core.stage import Artifact, Bundle, Source, Stage, Work
+from edream.ingest.layered import images_of, layer, layered_bundle, layered_episodes, layered_shard
+from edream.ingest.video import decode_image
+from edream.vision.grain import measured_grain
+from edream.vision.objects import Crop, best_crop, corners_of, moved
+from edream.vision.plate import brightness
+from edream.vision.scene_file import read_scene
+
+
+@dataclass(frozen=True)
+class ConditionOptions:
+    """How conditions are put together; see `conf/condition/default.yaml`."""
+
+    reference: Literal["episode", "plate"] = "episode"
+
+
+@dataclass(frozen=True)
+class ConditionRender:
+    """Of the rendering only its scene counts here."""
+
+    scene: Path | None = None
+
+
+@dataclass(frozen=True)
+class ConditionConfig:
+    """What condition reads."""
+
+    condition: ConditionOptions
+    render: ConditionRender
+    seed: int
+
+
+def run(inputs: Mapping[str, Artifact], config: ConditionConfig, work: Work) -> Bundle:
+    """Join renderings, masks and recorded images into one sequence of layers an episode."""
+    plate = decode_image(inputs["masks"]["plate.png"], "plate")
+    scene = read_scene(config.render.scene)
+    (_, native), *_ = from_json(inputs["camera"]["cameras.json"], "cameras.json").items()
+    camera = native.resized(*plate.shape[:2])
+    crop = _crop(inputs, scene, camera)
+    grain = measured_grain(layers["real"] for _, layers in _joined(inputs))
+
+    def one(item: tuple[Episode, dict[str, np.ndarray]], rng: np.random.Generator) -> Bundle:
+        episode, layers = item
+        made = _layers(episode, layers, plate, crop, scene, camera, config.condition.reference)
+        times = episode.videos["robot"].times
+        videos = {name: layer(times[: len(images)], images) for name, images in made.items()}
+        return layered_shard(
+            episode, videos, work.folder("writing"), {"frames": len(times), "objects": float(made["masks"][..., 1].any())}
+        )
+
+    bundle, told = layered_bundle(work.shards("episodes", _joined(inputs), one, parallel=False))
+    frames = sum(t["frames"] for t in told)
+    sources = ["real"] + (["crop"] if crop is not None else []) + (["sim"] if scene.tracks else [])
+    summary = {
+        "sentence": f"{frames} images of {len(told)} episodes, objects from {', '.join(sources)}.",
+        "frames": frames,
+        "object_sources": sources,
+        "grain": grain.levels,
+    }
+    return bundle | {"plate.png": inputs["masks"]["plate.png"], "summary.json": summary}
+
+
+def _joined(inputs: Mapping[str, Artifact]) -> Iterator[tuple[Episode, dict[str, np.ndarray]]]:
+    for rendered, masked in zip(layered_episodes(inputs["render"]), layered_episodes(inputs["masks"]), strict=True):
+        layers = images_of(rendered, ("robot", "masks", "object"))
+        found = images_of(masked, ("real", "object"))
+        yield rendered, {**layers, "real": found["real"], "found": found["object"][..., 0]}
+
+
+def _poses(scene: Scene, episode: Episode, time: float, camera: Camera) -> np.ndarray | None:
+    """Corners of the one tracked object; None where there is none or several."""
+    poses = scene.at(episode.name, time)
+    if len(scene.objects) != 1 or not poses:
+        return None
+    return corners_of(scene.objects[0], poses[scene.objects[0].name], camera)
+
+
+def _crop(inputs: Mapping[str, Artifact], scene: Scene, camera: Camera) -> Crop | None:
+    """The reference crop, from the first third of the episodes."""
+    images, masks, corners = [], [], []
+    for number, (episode, layers) in enumerate(_joined(inputs)):
+        if number % 3:
+            continue
+        for row in range(0, len(layers["real"]), 10):
+            images.append(layers["real"][row])
+            masks.append((layers["found"][row] > 127).astype(np.uint8))
+            corners.append(_poses(scene, episode, float(episode.videos["robot"].times[row]), camera))
+    return best_crop(images, masks, corners)
+
+
+def _layers(
+    episode: Episode,
+    layers: dict[str, np.ndarray],
+    plate: np.ndarray,
+    crop: Crop | None,
+    scene: Scene,
+    camera: Camera,
+    reference: str,
+) -> dict[str, np.ndarray]:
+    """The stored layers: real, condition (robot and recorded object pixels before black), robot, masks (robot, object as segmented,
+    robot where the simulated object does not hide it), object_sim, object_crop, object_masks (simulated, crop), reference (one image)."""
+    real, found = layers["real"], layers["found"]
+    robot, alone, both = layers["robot"], layers["masks"][..., 0], layers["masks"][..., 2]
+    crops, shares = np.zeros_like(real), np.zeros_like(found)
+    if crop is not None:
+        for i, time in enumerate(episode.videos["robot"].times):
+            corners = _poses(scene, episode, float(time), camera)
+            crops[i], shares[i] = moved(crop, corners, (found[i] > 127).astype(np.uint8) if corners is None else None)
+            hidden = both[i] > 127 if corners is not None else alone[i] > 127
+            shares[i][hidden] = 0
+    share = (alone[..., None] / 255.0) * (found[..., None] == 0)
+    condition = np.round(robot * share + real * (found[..., None] > 0)).astype(np.uint8)
+    if reference == "episode":
+        gain = 1.0 / brightness(real[:1].astype(np.float32), plate.astype(np.float32))[0]
+        plate = np.clip(np.round(plate * gain), 0, 255).astype(np.uint8)
+    return {
+        "real": real,
+        "condition": condition,
+        "robot": robot,
+        "masks": np.stack([alone, found, both], axis=-1),
+        "object_sim": layers["object"],
+        "object_crop": crops,
+        "object_masks": np.stack([layers["masks"][..., 1], shares, np.zeros_like(shares)], axis=-1),
+        "reference": plate[None],
+    }
+
+
+def sources(config: ConditionConfig) -> Mapping[str, Source]:
+    return {"scene": config.render.scene} if config.render.scene else {}
+
+
+ENTRY = Stage("condition", 1, ("camera", "render", "masks"), ConditionConfig, run, sources, ("numpy", "opencv-python-headless"))

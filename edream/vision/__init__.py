@@ -1,0 +1,1 @@
+"""From renderings to video that looks real: what the stages of `edream dream` share."""
