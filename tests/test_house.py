@@ -9,8 +9,8 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "edream"
 PLUMBING = {"catalog", "config", "store", "kinds", "executor", "work"}
-ENTRIES = {"effects", "formats", "fitters", "surrogates", "dreamers", "segmenters", "policies", "metrics"}
-METHODS = {"ingest", "calibration", "diagnosis"}  # what the stages of one job share
+ENTRIES = {"effects", "formats", "fitters", "surrogates", "codecs", "denoisers", "objectives", "segmenters", "policies", "metrics"}
+METHODS = {"ingest", "calibration", "diagnosis", "vision"}  # what the stages of one job share
 SIDES = {"sim", "learn"}
 MAY_IMPORT = {
     "core": {"core"},

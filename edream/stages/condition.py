@@ -1,6 +1,6 @@
 """Condition: what the dream model is shown of each episode, layer by layer, and what it should make of it."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -9,6 +9,7 @@ import numpy as np
 
 from edream.core.camera import Camera, from_json
 from edream.core.episode import Episode
+from edream.core.errors import EdreamError
 from edream.core.scene import Scene
 from edream.core.stage import Artifact, Bundle, Source, Stage, Work
 from edream.ingest.layered import images_of, layer, layered_bundle, layered_episodes, layered_shard
@@ -24,6 +25,7 @@ class ConditionOptions:
     """How conditions are put together; see `conf/condition/default.yaml`."""
 
     reference: Literal["episode", "plate"] = "episode"
+    holdout_fraction: float = 0.2
 
 
 @dataclass(frozen=True)
@@ -48,8 +50,10 @@ def run(inputs: Mapping[str, Artifact], config: ConditionConfig, work: Work) -> 
     scene = read_scene(config.render.scene)
     (_, native), *_ = from_json(inputs["camera"]["cameras.json"], "cameras.json").items()
     camera = native.resized(*plate.shape[:2])
-    crop = _crop(inputs, scene, camera)
-    grain = measured_grain(layers["real"] for _, layers in _joined(inputs))
+    names = [episode.name for episode in layered_episodes(inputs["render"])]
+    held = held_out(names, config.condition.holdout_fraction, config.seed)
+    crop = _crop(inputs, scene, camera, held)
+    grain = measured_grain(layers["real"] for episode, layers in _joined(inputs) if episode.name not in held)
 
     def one(item: tuple[Episode, dict[str, np.ndarray]], rng: np.random.Generator) -> Bundle:
         episode, layers = item
@@ -68,8 +72,23 @@ def run(inputs: Mapping[str, Artifact], config: ConditionConfig, work: Work) -> 
         "frames": frames,
         "object_sources": sources,
         "grain": grain.levels,
+        "held": sorted(held),
     }
     return bundle | {"plate.png": inputs["masks"]["plate.png"], "summary.json": summary}
+
+
+def held_out(names: list[str], fraction: float, seed: int) -> set[str]:
+    """Episodes that no model sees while it is trained: at least one, and not all.
+
+    Raises:
+        EdreamError: there are fewer than two episodes, or the share is no share.
+    """
+    if len(names) < 2 or not 0.0 < fraction < 1.0:
+        raise EdreamError(
+            f"{len(names)} episodes cannot be split with condition.holdout_fraction={fraction:g}; expected two or more."
+        )
+    count = min(len(names) - 1, max(1, round(fraction * len(names))))
+    return set(np.random.default_rng((seed, 0xD0)).choice(names, count, replace=False).tolist())
 
 
 def _joined(inputs: Mapping[str, Artifact]) -> Iterator[tuple[Episode, dict[str, np.ndarray]]]:
@@ -87,11 +106,11 @@ def _poses(scene: Scene, episode: Episode, time: float, camera: Camera) -> np.nd
     return corners_of(scene.objects[0], poses[scene.objects[0].name], camera)
 
 
-def _crop(inputs: Mapping[str, Artifact], scene: Scene, camera: Camera) -> Crop | None:
-    """The reference crop, from the first third of the episodes."""
+def _crop(inputs: Mapping[str, Artifact], scene: Scene, camera: Camera, held: Collection[str]) -> Crop | None:
+    """The reference crop, from the episodes that are not held out."""
     images, masks, corners = [], [], []
-    for number, (episode, layers) in enumerate(_joined(inputs)):
-        if number % 3:
+    for episode, layers in _joined(inputs):
+        if episode.name in held:
             continue
         for row in range(0, len(layers["real"]), 10):
             images.append(layers["real"][row])

@@ -1,0 +1,29 @@
+"""A metric: one number that says how near dreamed video is to real video."""
+
+from abc import ABC, abstractmethod
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Bool, UInt8
+
+Clips = UInt8[np.ndarray, "N T H W 3"]
+
+
+class Metric(ABC):
+    """One way to compare. A new one is one new file in `edream/metrics/` that defines `ENTRY`.
+
+    Attributes:
+        unit: of the number, or "".
+        better: whether more or less is better, or nearer to 1.
+        regional: whether it can be taken over a part of the images.
+    """
+
+    name: str
+    summary: str
+    unit: str = ""
+    better: Literal["more", "less", "one"]
+    regional: bool = False
+
+    @abstractmethod
+    def score(self, made: Clips, real: Clips, region: Bool[np.ndarray, "N T H W"]) -> float | None:
+        """The number over the pixels of a region; metrics that are not regional take whole images. None where nothing is there."""

@@ -1,0 +1,140 @@
+"""The one training loop: Adam, warm-up and cosine, a moving average of the weights, and a state that goes on exactly where it stopped."""
+
+import math
+from collections.abc import Callable, Mapping
+from contextlib import nullcontext
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from edream.core.errors import EdreamError
+from edream.learn.checkpoint import fill
+
+State = dict[str, np.ndarray]
+WEIGHTS, AVERAGE, FIRST, SECOND = "weights/", "average/", "first/", "second/"
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """How long and how fast.
+
+    Attributes:
+        steps: in all.
+        rate: highest learning rate.
+        warmup: steps until it is reached; from there it falls as a cosine to a twentieth.
+        average: decay of the moving average of the weights.
+        clip: largest norm of the gradient.
+        precision: float32, or bfloat16 for the network's inner numbers; norms, loss and decoding stay float32.
+    """
+
+    steps: int = 300
+    rate: float = 1e-3
+    warmup: int = 20
+    average: float = 0.98
+    clip: float = 1.0
+    precision: str = "float32"
+
+    def __post_init__(self) -> None:
+        if self.steps < 1 or self.rate <= 0 or not 0 <= self.average < 1:
+            raise EdreamError(
+                f"dream.train has steps {self.steps}, rate {self.rate:g}, average {self.average:g}; expected sane ones."
+            )
+        if self.precision not in ("float32", "bfloat16"):
+            raise EdreamError(f"dream.train.precision is {self.precision!r}; expected float32 or bfloat16.")
+
+    def rate_at(self, step: int) -> float:
+        """Learning rate of a step."""
+        if step < self.warmup:
+            return self.rate * (step + 1) / self.warmup
+        done = (step - self.warmup) / max(1, self.steps - self.warmup)
+        return self.rate * (0.05 + 0.95 * 0.5 * (1.0 + math.cos(math.pi * min(done, 1.0))))
+
+
+def new_state(network: nn.Module) -> State:
+    """The state before the first step."""
+    state: State = {}
+    for name, tensor in network.state_dict().items():
+        value = tensor.detach().cpu().numpy().copy()
+        state |= {WEIGHTS + name: value, AVERAGE + name: value.copy()}
+    for name, tensor in network.named_parameters():
+        state |= {kind + name: np.zeros(tuple(tensor.shape), np.float32) for kind in (FIRST, SECOND)}
+    return state
+
+
+def part(state: Mapping[str, np.ndarray], prefix: str) -> dict[str, Tensor]:
+    """The tensors of a state under a prefix, without it."""
+    return {name.removeprefix(prefix): torch.from_numpy(np.array(v)) for name, v in state.items() if name.startswith(prefix)}
+
+
+def train(
+    network: nn.Module,
+    loss_of: Callable[[int], Tensor],
+    state: State,
+    first: int,
+    last: int,
+    schedule: Schedule,
+    reduce: Callable[[Tensor], None] | None = None,
+) -> tuple[State, list[float]]:
+    """Train from step `first` up to, not including, `last`.
+
+    Whatever is random in a step follows from the step's number alone, so a run that was cut into pieces gives the same bytes.
+
+    Args:
+        network: takes the state's weights and is trained in place.
+        loss_of: loss of a step.
+        state: as `new_state` or the last call gave it.
+        reduce: averages a tensor over processes, where there are several.
+
+    Returns:
+        The new state, and the loss of each step.
+
+    Raises:
+        EdreamError: the state does not fit, or the loss is no longer finite.
+    """
+    fill(network, part(state, WEIGHTS), "The training state")
+    device = next(network.parameters()).device
+    average = {name: value.to(device) for name, value in part(state, AVERAGE).items()}
+    adam = torch.optim.Adam(network.parameters(), lr=schedule.rate, betas=(0.9, 0.99), foreach=False)
+    for name, tensor in network.named_parameters():
+        moments = (torch.from_numpy(np.array(state[kind + name])).to(device) for kind in (FIRST, SECOND))
+        adam.state[tensor] = dict(zip(("exp_avg", "exp_avg_sq"), moments, strict=True)) | {"step": torch.tensor(float(first))}
+    network.train()
+    narrow = torch.autocast(device.type, torch.bfloat16) if schedule.precision == "bfloat16" else nullcontext()
+    losses = []
+    for step in range(first, last):
+        for group in adam.param_groups:
+            group["lr"] = schedule.rate_at(step)
+        adam.zero_grad(set_to_none=True)
+        with narrow:
+            loss = loss_of(step)
+        loss.backward()
+        if reduce is not None:
+            for tensor in network.parameters():
+                if tensor.grad is not None:
+                    reduce(tensor.grad)
+        torch.nn.utils.clip_grad_norm_(network.parameters(), schedule.clip, foreach=False)
+        adam.step()
+        losses.append(float(loss.detach()))
+        if not math.isfinite(losses[-1]):
+            raise EdreamError(
+                f"The loss is not finite after {step + 1} training steps; lower dream.train.rate ({schedule.rate:g})."
+            )
+        decay = min(schedule.average, (1.0 + step) / (10.0 + step))
+        with torch.no_grad():
+            for name, tensor in network.state_dict().items():
+                if tensor.is_floating_point():
+                    average[name].lerp_(tensor.float(), 1.0 - decay)
+    return _state(network, average, adam), losses
+
+
+def _state(network: nn.Module, average: Mapping[str, Tensor], adam: torch.optim.Adam) -> State:
+    state: State = {}
+    for name, tensor in network.state_dict().items():
+        state[WEIGHTS + name] = tensor.detach().cpu().numpy().copy()
+        state[AVERAGE + name] = average[name].cpu().numpy().copy()
+    for name, tensor in network.named_parameters():
+        state[FIRST + name] = adam.state[tensor]["exp_avg"].cpu().numpy().copy()
+        state[SECOND + name] = adam.state[tensor]["exp_avg_sq"].cpu().numpy().copy()
+    return state

@@ -1,0 +1,135 @@
+"""The models that are trained side by side: the dream model, its baseline and its ablation, all of one size."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import torch
+
+from edream.core.errors import EdreamError
+from edream.learn.training import Schedule
+from edream.vision.clips import SOURCES, Clip, Jitter, Scenes, clip_of
+from edream.vision.dreamer import DreamModel, Part
+
+DREAM, REGRESSION, WITHOUT = "dream", "regression", "no objects"
+
+
+@dataclass(frozen=True)
+class DreamOptions:
+    """The model and how it is trained; see `conf/dream/tiny.yaml` for each."""
+
+    codec: Part
+    denoiser: Part
+    objective: Part
+    train: Schedule = field(default_factory=Schedule)
+    codec_steps: int = 0
+    frames: int = 16
+    batch: int = 4
+    checkpoint: int = 100
+    known: float = 0.3
+    overlap: int = 4
+    objects: bool = True
+    sources: Mapping[str, float] = field(default_factory=lambda: {"real": 0.5, "sim": 0.25, "crop": 0.25})
+    jitter: Jitter = field(default_factory=Jitter)
+    baseline: bool = True
+    ablation: bool = True
+    device: str = "auto"
+    processes: int = 1
+
+    def __post_init__(self) -> None:
+        if self.frames < 2 or self.batch < 1 or self.checkpoint < 1 or not 0 <= self.overlap < self.frames:
+            raise EdreamError(
+                f"dream has frames {self.frames}, batch {self.batch}, checkpoint {self.checkpoint}, overlap {self.overlap}; expected at "
+                "least 2, 1, 1 and an overlap below the frames."
+            )
+        for name, weight in self.sources.items():
+            if name not in SOURCES or weight < 0:
+                raise EdreamError(f"dream.sources names {name!r} with {weight}; expected weights for {', '.join(SOURCES)}.")
+        if self.device not in ("auto", "cpu", "cuda"):
+            raise EdreamError(f"dream.device is {self.device!r}; expected auto, cpu or cuda.")
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One of the models: its name, its objective, and where its objects come from in training."""
+
+    name: str
+    objective: Part
+    sources: Mapping[str, float]
+
+
+def variants(options: DreamOptions, there: tuple[str, ...]) -> list[Variant]:
+    """What is trained.
+
+    Args:
+        there: object sources that the conditions have.
+    """
+    known = {name: weight for name, weight in options.sources.items() if name in there and weight > 0} or {"real": 1.0}
+    sources = known if options.objects else {"none": 1.0}
+    found = [Variant(DREAM, options.objective, sources)]
+    if options.baseline and options.objective.kind != REGRESSION:
+        found.append(Variant(REGRESSION, Part(REGRESSION), sources))
+    if options.ablation and options.objects:
+        found.append(Variant(WITHOUT, options.objective, {"none": 1.0}))
+    return found
+
+
+def new_model(options: DreamOptions, variant: Variant, seed: int) -> DreamModel:
+    """The model of a variant before training; all variants begin with the same weights.
+
+    Raises:
+        EdreamError: an entry, option or weights file is wrong.
+    """
+    return DreamModel.of(options.codec, options.denoiser, variant.objective, seed)
+
+
+@dataclass(frozen=True, eq=False)
+class Batches:
+    """The batch of each step, which follows from the seed and the step's number alone.
+
+    Attributes:
+        rank, ranks: which share of the batch, where several processes train.
+    """
+
+    scenes: Scenes
+    options: DreamOptions
+    variant: Variant
+    seed: int
+    rank: int = 0
+    ranks: int = 1
+
+    def at(self, step: int) -> tuple[Clip, torch.Tensor, torch.Generator]:
+        """Clips, which of their frames are known, and a generator for the noise."""
+        rng = np.random.default_rng((self.seed, step, self.rank))
+        long = [n for n, size in enumerate(self.scenes.lengths()) if not self.scenes.held[n] and size >= self.options.frames]
+        if not long:
+            raise EdreamError(f"No training episode has {self.options.frames} images; lower dream.frames, or raise render.rate.")
+        names, weights = list(self.variant.sources), np.array(list(self.variant.sources.values()))
+        count = max(1, self.options.batch // self.ranks)
+        picked = []
+        for _ in range(count):
+            number = long[int(rng.integers(len(long)))]
+            first = int(rng.integers(self.scenes.lengths()[number] - self.options.frames + 1))
+            picked.append((number, first, str(rng.choice(names, p=weights / weights.sum()))))
+        clip = clip_of(self.scenes, picked, self.options.frames, self.options.jitter, rng)
+        known = np.zeros((count, self.options.frames), bool)
+        for row in np.flatnonzero(rng.random(count) < self.options.known):
+            known[row, : int(rng.integers(1, max(2, self.options.overlap + 1)))] = True
+        chance = torch.Generator().manual_seed(int(rng.integers(2**62)))
+        return clip, torch.from_numpy(known), chance
+
+
+def device_of(options: DreamOptions) -> torch.device:
+    """Where to train.
+
+    Raises:
+        EdreamError: a GPU is asked for and there is none.
+    """
+    if options.device == "cuda" and not torch.cuda.is_available():
+        raise EdreamError("dream.device is cuda, but torch finds no GPU here; use dream.device=auto.")
+    return torch.device("cuda" if options.device != "cpu" and torch.cuda.is_available() else "cpu")
+
+
+def without_weights(options: DreamOptions) -> DreamOptions:
+    """The same, to build networks whose weights come from elsewhere."""
+    return replace(options, codec=replace(options.codec, weights=None), denoiser=replace(options.denoiser, weights=None))
