@@ -1,6 +1,7 @@
 """What a command prints: one JSON object, or short tables for a person."""
 
 import json as json_
+import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,8 @@ from edream.store import StoredArtifact
 
 SUMMARY = "summary.json"
 MOST = 40
+FIRST = ("name", "model", "value", "unit", "interval", "status")  # columns that a reader looks for, in this order
+BOX = {"low", "high", "start"}  # what --json adds to a parameter
 
 
 def result(made: Mapping[str, StoredArtifact], run: Path, write: Callable[[str], object] | None) -> None:
@@ -57,9 +60,9 @@ def table(values: Mapping[str, Any]) -> None:
         elif isinstance(value, Mapping | list | tuple) and value:
             rows = _rows(value)
             shown = Table(title=name, title_justify="left", box=None, pad_edge=False)
-            columns = list(dict.fromkeys(column for row in rows for column in row))
+            columns = _columns(rows)
             for column in columns:
-                shown.add_column(column)
+                shown.add_column(column, no_wrap=column in ("value", "status", "unit"))
             for row in rows[:MOST]:
                 shown.add_row(*(escape(_cell(row.get(column, ""))) for column in columns))
             console.print()
@@ -73,6 +76,25 @@ def _rows(value: Mapping[str, Any] | Sequence[Any]) -> list[dict[str, Any]]:
     return [head | (dict(item) if isinstance(item, Mapping) else {"value": item}) for head, item in items]
 
 
+def _columns(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """What a person is shown of rows, in the order of reading."""
+    every = list(dict.fromkeys(column for row in rows for column in row))
+    hidden = BOX if set(every) > BOX else set()
+    shown = [
+        c
+        for c in every
+        if c not in hidden
+        and not any(_long(row.get(c)) for row in rows)
+        and any(row.get(c) not in (None, "", [], ()) for row in rows)
+    ]
+    return sorted(shown, key=lambda column: FIRST.index(column) if column in FIRST else len(FIRST))
+
+
+def _long(value: Any) -> bool:
+    """Whether a value is no cell of a table; --json has it whole."""
+    return isinstance(value, Mapping) and (len(value) > 4 or any(isinstance(item, Mapping) for item in value.values()))
+
+
 def _cell(value: Any) -> str:
     if isinstance(value, float):
         return f"{value:.5g}"
@@ -80,7 +102,12 @@ def _cell(value: Any) -> str:
         return ", ".join(_cell(item) for item in value)
     if isinstance(value, Mapping):
         return ", ".join(f"{name} {_cell(item)}" for name, item in value.items())
-    return "-" if value is None else str(value)
+    return "-" if value is None else re.sub(r"\[([^\]+]+)(\+[^\]]+){2,}\]", _shortened, str(value))
+
+
+def _shortened(found: re.Match) -> str:
+    """`[a+b+c+d]`, the joints that share a number, as `[4 tied]`."""
+    return f"[{found[0].count('+') + 1} tied]"
 
 
 def _as_path(artifact: StoredArtifact, value: Any) -> Any:

@@ -211,8 +211,21 @@ def _summary(
         "simulations": result["simulations"] + swept,
         "parameters": {name: asdict(estimate) for name, estimate in worth.estimates.items()},
         "open": [direction.sentence for direction in worth.directions],
+        "comparison": comparison(judge),
         "error": error,
     }
+
+
+def comparison(judge: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """The errors that say most, before and after, next to a robot that tracks perfectly; over whole motions and short windows."""
+    sides = {"published": judge["before"], "calibrated": judge, "perfect tracking": judge["perfect_tracking"]}
+    rows = []
+    for name, errors in sides.items():
+        row = {"model": name, "whole [rad]": errors["joint_rmse_rad"]}
+        spans = {span: at for span, at in errors.get("by_horizon", {}).items() if span != "whole"}
+        row |= {f"{span} [rad]": at["joint_rmse_rad"] for span, at in spans.items()}
+        rows.append(row | {"hand [m]": errors["translation_m"], "hand [rad]": errors["rotation_rad"]})
+    return rows
 
 
 def sources(config: FitConfig) -> Mapping[str, Source]:
