@@ -62,7 +62,7 @@ def table(values: Mapping[str, Any]) -> None:
             shown = Table(title=name, title_justify="left", box=None, pad_edge=False)
             columns = _columns(rows)
             for column in columns:
-                shown.add_column(column, no_wrap=column in ("value", "status", "unit"))
+                shown.add_column(escape(column), no_wrap=column in ("value", "status", "unit"))
             for row in rows[:MOST]:
                 shown.add_row(*(escape(_cell(row.get(column, ""))) for column in columns))
             console.print()

@@ -1,13 +1,8 @@
 """MCAP recordings of ROS 2 topics (CDR): sensor_msgs/JointState, a torque switch, voltages, images."""
 
-import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
-
-from mcap.exceptions import McapError
-from mcap_ros2._vendor.rosidl_adapter.parser import InvalidSpecification, InvalidValue
-from mcap_ros2.decoder import DecoderFactory
 
 from edream.core.episode import Recording
 from edream.core.errors import EdreamError
@@ -15,24 +10,12 @@ from edream.core.format import Format, Malformed, ReadOptions
 from edream.ingest import mcap_file
 from edream.ingest.border import finished, one_line
 from edream.ingest.mcap_file import Stamped
+from edream.ingest.ros2 import Cameras, Decoders, kind_of
 from edream.ingest.signals import JointTopic, Signals, assemble
-
-DECODE_ERRORS = (
-    McapError,
-    InvalidSpecification,
-    InvalidValue,
-    struct.error,
-    ValueError,
-    LookupError,
-    TypeError,
-    AttributeError,
-    NotImplementedError,
-    RecursionError,
-)
 
 
 class McapRos2(Format):
-    """Joint states on a measured and a commanded topic, each on its own clock.
+    """Joint states on a measured and a commanded topic, each on its own clock; images as sensor_msgs/CompressedImage or Image.
 
     Source: mcap.dev specification; docs.ros.org sensor_msgs/msg/JointState.
     """
@@ -58,45 +41,17 @@ class McapRos2(Format):
 
 def _read(file: Path) -> Signals:
     signals = Signals()
-    decoders = _Decoders(file)
+    decoders = Decoders(file)
+    cameras = Cameras(decoders)
     for message in mcap_file.messages(file, signals.metadata):
-        _add(signals, message, decoders)
+        if not cameras.add(message):
+            _add(signals, message, decoders)
+    signals.videos.update(cameras.videos())
     return signals
 
 
-class _Decoders:
-    """Decoders of one file's schemas, made on first use."""
-
-    def __init__(self, file: Path) -> None:
-        self.file = file
-        self._factory = DecoderFactory()
-        self._made: dict[int, Callable[[bytes], Any] | None] = {}
-
-    def decode(self, message: Stamped) -> Any:
-        """The message's fields.
-
-        Raises:
-            EdreamError: its schema or bytes are damaged.
-        """
-        schema = message.schema
-        try:
-            if id(schema) not in self._made:
-                self._made[id(schema)] = self._factory.decoder_for(message.encoding, schema)
-            decoder = self._made[id(schema)]
-            return decoder(message.data) if decoder else None
-        except DECODE_ERRORS as error:
-            named = schema.name if schema else "no schema"
-            raise EdreamError(
-                f"{self.file} is damaged: a message of {message.topic} ({named}) cannot be decoded: {one_line(error)}."
-            ) from error
-
-
-def _kind(message: Stamped) -> str:
-    return message.schema.name.replace("/msg/", "/") if message.schema else ""
-
-
-def _add(signals: Signals, message: Stamped, decoders: _Decoders) -> None:
-    kind = _kind(message)
+def _add(signals: Signals, message: Stamped, decoders: Decoders) -> None:
+    kind = kind_of(message)
     if kind == "sensor_msgs/JointState":
         body = decoders.decode(message)
         if body is not None:

@@ -1,7 +1,7 @@
 """Joint states, switches and voltages on topics, put together into a recording."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -76,14 +76,19 @@ def assemble(name: str, signals: Signals, options: ReadOptions) -> Recording:
     Raises:
         EdreamError: measured joint states are missing or cannot be told from the commands.
     """
-    state, command = _roles(signals.joints, options)
-    topics = [signals.joints[topic] for topic in (state, command) if topic]
-    clock = _clock(topics)
-    start = signals.joints[state].stamps[0][clock]
-    measured = _Arrays.of(signals.joints[state], clock, start, state)
-    commanded = _Arrays.of(signals.joints[command], clock, start, command) if command else _Arrays.none()
+    states, commands = _roles(signals.joints, options)
+    clock = _clock([signals.joints[topic] for topic in (*states, *commands)])
+    start = signals.joints[states[0]].stamps[0][clock]
+    measured = merged([_Arrays.of(signals.joints[topic], clock, start, topic) for topic in states], hold=False)
+    commanded = merged([_Arrays.of(signals.joints[topic], clock, start, topic) for topic in commands], hold=True)
+    if len(states) > 1 and len(measured.times):  # the clock begins where all topics have begun
+        start += round(1e9 * float(measured.times[0]))
+        commanded = replace(commanded, times=commanded.times - measured.times[0])
+        measured = replace(measured, times=measured.times - measured.times[0])
     conditions, notes = facts(signals)
-    notes |= {"clock": f"{CLOCKS[clock]} time", "state_topic": state, "command_topic": command or "none"}
+    notes |= {"clock": f"{CLOCKS[clock]} time", "state_topic": " ".join(states), "command_topic": " ".join(commands) or "none"}
+    if len(states) > 1:
+        notes["merged"] = f"measurements of {len(states)} topics, the others interpolated to the times of {states[0]}"
     return Recording(
         name=name,
         times=measured.times,
@@ -127,12 +132,48 @@ class _Arrays:
         return _Arrays(topic.names, times, position, full["velocity"], full["effort"])
 
 
+def merged(parts: Sequence[_Arrays], hold: bool) -> _Arrays:
+    """Several topics as one, their joints side by side, over the time that all of them cover.
+
+    Args:
+        parts: one for each topic.
+        hold: whether values hold until the next ones (commands), on the times of all topics together; else they are interpolated
+            linearly to the times of the first topic (measurements).
+
+    Raises:
+        EdreamError: a joint is in two topics, or the topics share no time.
+    """
+    if len(parts) < 2:
+        return parts[0] if parts else _Arrays.none()
+    names = tuple(name for part in parts for name in part.names)
+    if len(set(names)) < len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        raise EdreamError(f"joint {twice!r} is in two of the topics that are to be merged; expected each in one.")
+    first, last = max(part.times[0] for part in parts), min(part.times[-1] for part in parts)
+    times = np.unique(np.concatenate([part.times for part in parts])) if hold else parts[0].times
+    times = times[(times >= first) & (hold | (times <= last))]
+    if not len(times):
+        raise EdreamError("the topics that are to be merged share no time.")
+
+    def column(part: _Arrays, values: np.ndarray) -> np.ndarray:
+        if hold:
+            return values[np.searchsorted(part.times, times, side="right") - 1]
+        return np.stack([np.interp(times, part.times, values[:, i]) for i in range(values.shape[1])], axis=1)
+
+    def whole(what: str) -> np.ndarray | None:
+        columns = [(part, getattr(part, what)) for part in parts]
+        return None if any(v is None for _, v in columns) else np.concatenate([column(p, v) for p, v in columns], axis=1)
+
+    position = np.concatenate([column(part, part.position) for part in parts], axis=1)
+    return _Arrays(names, times, position, whole("velocity"), whole("effort"))
+
+
 def seconds(stamps: list[int], start: int) -> np.ndarray:
     """Integer clocks [ns] as seconds since `start`; subtracted as integers, since a float64 holds no epoch to the nanosecond."""
     return np.array([stamp - start for stamp in stamps], dtype=np.int64) / 1e9
 
 
-def _roles(joints: Mapping[str, JointTopic], options: ReadOptions) -> tuple[str, str | None]:
+def _roles(joints: Mapping[str, JointTopic], options: ReadOptions) -> tuple[list[str], list[str]]:
     filled = {topic: one for topic, one in joints.items() if one.stamps}
     if not filled:
         raise EdreamError("it holds no joint states.")
@@ -143,13 +184,13 @@ def _roles(joints: Mapping[str, JointTopic], options: ReadOptions) -> tuple[str,
     named_command = [topic for topic in options.command if topic in filled]
     commands = named_command or [t for t in filled if t not in named_state and any(word in t.lower() for word in COMMAND_WORDS)]
     states = named_state or [topic for topic in filled if topic not in commands]
-    if len(states) != 1 or len(commands) > 1:
+    if len(states) != max(1, len(named_state)) or len(commands) > max(1, len(named_command)):
         raise EdreamError(
             f"it has {len(states)} measured and {len(commands)} commanded joint topics ({', '.join(sorted(filled))}); "
             "expected one measured and at "
-            "most one commanded. Name them with ingest.position=[/topic] and ingest.command=[/topic]."
+            "most one commanded. Name them with ingest.position=[/topic] and ingest.command=[/topic]; several are merged."
         )
-    return states[0], commands[0] if commands else None
+    return states, commands
 
 
 def _clock(topics: list[JointTopic]) -> int:
