@@ -18,6 +18,10 @@ PATHS = frozenset(
     {"data", "runs", "robot.mjcf", "record.out", "replay.hook", "camera.file", "camera.marks", "render.scene"}
     | {"masks.plate", "masks.truth", "masks.folder", "masks.weights", "dream.codec.weights", "dream.denoiser.weights"}
 )
+# settings that hold names of the user's own, such as fit.fixed={servo_gain.kp: 18}; Hydra adds to them only where told so
+OPEN = ("fit.fixed", "fit.limits", "fit.scaled", "robot.scaled", "surrogate.options") + tuple(
+    f"ingest.mapping.{name}" for name in ("channels", "units", "scale", "offset")
+)
 EXPECTED: dict[Any, str] = {
     int: "an integer",
     float: "a number",
@@ -188,7 +192,8 @@ def _with_quoted_path(override: str) -> str:
     key, equals, value = override.partition("=")
     if key in PATHS and equals and value not in ("", "null", "???") and value[0] not in "'\"$":
         return f"{key}={_quoted(value)}"
-    return override
+    opened = key in OPEN or key.startswith(tuple(f"{name}." for name in OPEN))
+    return f"++{override}" if opened and equals else override
 
 
 def _mended(error: Exception, overrides: Sequence[str], search: Sequence[str]) -> EdreamError:

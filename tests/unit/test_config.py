@@ -101,3 +101,10 @@ def test_a_folder_of_ones_own_adds_choices_and_its_misspelt_keys_are_refused(tmp
     (tmp_path / "robot" / "mine.yaml").write_text("defaults: [custom]\nnmae: mine\n")
     with pytest.raises(EdreamError, match=r"'nmae'\. Did you mean 'name'"):
         pipeline.check_settings(config.compose(["robot=mine"], tmp_path))
+
+
+def test_settings_with_names_of_ones_own_can_be_given_on_the_command_line() -> None:
+    cfg = config.compose(["fit.fixed={servo_gain.kp: 18}", "surrogate.options.hidden=16", "ingest.mapping.units.elbow=deg"])
+    assert dict(cfg.fit.fixed) == {"servo_gain.kp": 18}
+    assert dict(cfg.surrogate.options) == {"hidden": 16}
+    assert dict(cfg.ingest.mapping.units) == {"elbow": "deg"}
