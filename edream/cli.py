@@ -76,8 +76,14 @@ def _command(stage: str) -> Callable[[Callable[..., None]], Callable[..., None]]
 def calibrate(overrides: Overrides = None, conf: Conf = None, json: Json = False) -> None:
     """Fit the simulator to recordings; write the calibrated MJCF, its parameters with intervals, and held-out errors.
 
-    Example: `edream calibrate robot=so101 robot.mjcf=so101.xml data=recordings/ fit.method=gauss_newton seed=3`
+    With `camera` as the first word: find where the recordings' camera stands, from marked points or from the robot's silhouettes.
+
+    Examples: `edream calibrate robot=so101 robot.mjcf=so101.xml data=recordings/ fit.method=gauss_newton seed=3`,
+    `edream calibrate camera robot.mjcf=robot.xml data=recordings/ camera.guess.azimuth=-40`
     """
+    if overrides and overrides[0] == "camera":
+        run("calibrate camera", ("camera",), overrides[1:], conf, json)
+        return
     run("calibrate", ("fit", "report"), [*(overrides or []), "report.of=fit"], conf, json)
 
 
@@ -88,6 +94,15 @@ def diagnose(overrides: Overrides = None, conf: Conf = None, json: Json = False)
     Example: `edream diagnose robot.mjcf=robot.xml data=recordings/`
     """
     run("diagnose", ("diagnose", "report"), [*(overrides or []), "report.of=diagnose"], conf, json)
+
+
+@_command("score")
+def dream(overrides: Overrides = None, conf: Conf = None, json: Json = False) -> None:
+    """Train a model that turns renderings of the calibrated simulator into video like the recordings', and judge it on held-out episodes.
+
+    Example: `edream dream robot.mjcf=robot.xml data=recordings/ camera.file=cameras.json seed=3`
+    """
+    run("dream", ("score", "report"), [*(overrides or []), "report.of=dream"], conf, json)
 
 
 @_command("replay")

@@ -64,3 +64,9 @@ def layered_episodes(artifact: Artifact) -> Iterator[Episode]:
 def images_of(episode: Episode, names: Sequence[str]) -> dict[str, Images]:
     """Layers of an episode, decoded, (T, H, W, 3) each."""
     return {name: np.stack(list(episode.videos[name].frames())) for name in names if name in episode.videos}
+
+
+def layered_images(artifact: Artifact, names: Sequence[str]) -> Iterator[tuple[str, dict[str, Images]]]:
+    """Name and decoded layers of every episode, one at a time."""
+    for episode in layered_episodes(artifact):
+        yield episode.name, images_of(episode, names)

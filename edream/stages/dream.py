@@ -1,6 +1,6 @@
 """Dream: train the model that makes renderings look real, and beside it what it is compared with."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,16 +9,14 @@ import torch
 
 from edream import catalog
 from edream.core.stage import Artifact, Bundle, Source, Stage, Work
-from edream.ingest.layered import images_of, layered_episodes
+from edream.ingest.layered import layered_images
 from edream.learn.checkpoint import arrays, fill, weights_digest
 from edream.learn.codec import Codec, reconstruction_psnr
 from edream.learn.determinism import deterministic
 from edream.learn.training import AVERAGE, State, new_state, part, train
-from edream.vision.clips import LAYERS, Scenes, clip_of, starts
-from edream.vision.dreamer import DreamModel
+from edream.vision.clips import STORED, Scenes, clip_of, starts
+from edream.vision.trained import CODEC, file_of
 from edream.vision.variants import Batches, DreamOptions, Variant, device_of, new_model, variants
-
-CODEC = "codec.safetensors"
 
 
 @dataclass(frozen=True)
@@ -32,7 +30,7 @@ class DreamConfig:
 def run(inputs: Mapping[str, Artifact], config: DreamConfig, work: Work) -> Bundle:
     """Train each variant in pieces that are kept, so that a run that was killed goes on at its last piece."""
     options, about = config.dream, inputs["condition"]["summary.json"]
-    scenes = gathered(inputs["condition"], work)
+    scenes = Scenes.gather(layered_images(inputs["condition"], STORED), work.folder("images"), about["held"])
     chosen = variants(options, tuple(about["object_sources"]))
     bundle: dict[str, Any] = {}
     losses: dict[str, list[float]] = {}
@@ -56,23 +54,6 @@ def run(inputs: Mapping[str, Artifact], config: DreamConfig, work: Work) -> Bund
     return bundle | {"summary.json": summary, "losses.json": {"codec": codec_losses, **losses}}
 
 
-def file_of(variant: str) -> str:
-    """Where the weights of a variant lie."""
-    return f"{variant.replace(' ', '_')}.safetensors"
-
-
-def gathered(conditioned: Artifact, work: Work) -> Scenes:
-    """The conditioned episodes, in files that are mapped into memory."""
-
-    def episodes() -> Iterator[tuple[str, Mapping[str, np.ndarray]]]:
-        for episode in layered_episodes(conditioned):
-            yield episode.name, images_of(episode, (*LAYERS, "reference"))
-
-    held = set(conditioned["summary.json"]["held"])
-    names = [episode.name for episode in layered_episodes(conditioned)]
-    return Scenes.gather(episodes(), work.folder("images"), {name: name in held for name in names})
-
-
 def _codec(
     options: DreamOptions, variant: Variant, scenes: Scenes, seed: int, work: Work
 ) -> tuple[dict[str, np.ndarray], list[float], float | None]:
@@ -86,12 +67,12 @@ def _codec(
             found = catalog.load("codecs", options.codec.kind, Codec).train(model.codec, pictures, options.codec_steps, seed)
         held = torch.cat([clip_of(scenes, [(n, f, "none")], 1).real[0] for n, f in starts(scenes, 1, True, 8)])
         about = {"losses": found, "psnr": reconstruction_psnr(model.codec, held)}
-        return {"codec.safetensors": arrays(model.codec), "about.json": about}
+        return {CODEC: arrays(model.codec), "about.json": about}
 
     if not arrays(new_model(options, variant, seed).codec):
         return {}, [], None
     kept = work.shards("codec", [0], fit, parallel=False)[0]
-    return kept["codec.safetensors"], kept["about.json"]["losses"], kept["about.json"]["psnr"]
+    return kept[CODEC], kept["about.json"]["losses"], kept["about.json"]["psnr"]
 
 
 def _trained(
@@ -122,16 +103,6 @@ def _trained(
         losses += before["losses.json"]
     assert before is not None
     return before["state.safetensors"], losses
-
-
-def loaded(trained: Artifact, options: DreamOptions, variant: Variant, seed: int) -> DreamModel:
-    """A trained model, ready to draw from."""
-    model = new_model(options, variant, seed)
-    if CODEC in trained:
-        fill(model.codec, {name: torch.from_numpy(array) for name, array in trained[CODEC].items()}, CODEC)
-    name = file_of(variant.name)
-    fill(model.denoiser, {key: torch.from_numpy(array) for key, array in trained[name].items()}, name)
-    return model.eval().to(device_of(options))
 
 
 def sources(config: DreamConfig) -> Mapping[str, Source]:

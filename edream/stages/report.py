@@ -1,4 +1,4 @@
-"""Report: one self-contained page about a calibration or a diagnosis."""
+"""Report: one self-contained page about a calibration, a diagnosis or dreamed video."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -9,15 +9,17 @@ from edream.calibration.problem import Fitter
 from edream.core.stage import Artifact, Bundle, Stage, Work
 from edream.report.calibration import calibration_page
 from edream.report.diagnosis import diagnosis_page
+from edream.report.dream import dream_page
 
 PAGE = "report.html"
+DREAM = ("score", "dream", "condition", "masks", "render", "camera", "ingest")
 
 
 @dataclass(frozen=True)
 class ReportOptions:
-    """What the page is about: the stage `fit` or `diagnose`."""
+    """What the page is about: the stage `fit`, `diagnose` or `dream`."""
 
-    of: Literal["fit", "diagnose"]
+    of: Literal["fit", "diagnose", "dream"]
 
 
 @dataclass(frozen=True)
@@ -47,6 +49,8 @@ def needs(config: ReportConfig) -> tuple[str, ...]:
     """What the page is about, the recordings, and the surrogate where one was used."""
     if config.report.of == "diagnose":
         return ("diagnose", "ingest")
+    if config.report.of == "dream":
+        return DREAM
     entry = catalog.load("fitters", config.fit.method, Fitter)
     return ("fit", "ingest", "surrogate") if entry.needs_surrogate else ("fit", "ingest")
 
@@ -56,6 +60,8 @@ def run(inputs: Mapping[str, Artifact], config: ReportConfig, work: Work) -> Bun
     robot = config.robot.name or "your robot"
     if config.report.of == "diagnose":
         return {PAGE: diagnosis_page(inputs["diagnose"], inputs["ingest"], robot)}
+    if config.report.of == "dream":
+        return {PAGE: dream_page(inputs, robot)}
     return {PAGE: calibration_page(inputs["fit"], inputs["ingest"], inputs.get("surrogate"), robot)}
 
 

@@ -1,6 +1,6 @@
 """Clips: stretches of conditioned episodes as tensors, with the object layer from one of three sources."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,6 +12,7 @@ from torch import Tensor
 from edream.core.errors import EdreamError
 
 LAYERS = ("real", "robot", "masks", "object_sim", "object_crop", "object_masks")
+STORED = (*LAYERS, "reference")
 SOURCES = ("real", "sim", "crop", "none")
 
 
@@ -32,7 +33,7 @@ class Scenes:
     held: tuple[bool, ...]
 
     @classmethod
-    def gather(cls, episodes: Iterable[tuple[str, Mapping[str, np.ndarray]]], folder: Path, held: Mapping[str, bool]) -> "Scenes":
+    def gather(cls, episodes: Iterable[tuple[str, Mapping[str, np.ndarray]]], folder: Path, held: Collection[str]) -> "Scenes":
         """Put every episode's layers into files of `folder` that are mapped into memory, so that any number of them fits."""
         names, layers, references = [], [], []
         for number, (name, images) in enumerate(episodes):
@@ -45,7 +46,7 @@ class Scenes:
             names.append(name)
             layers.append(kept)
             references.append(images["reference"][0])
-        return cls(tuple(names), tuple(layers), tuple(references), tuple(held[name] for name in names))
+        return cls(tuple(names), tuple(layers), tuple(references), tuple(name in held for name in names))
 
     def lengths(self) -> list[int]:
         """Images of each episode."""

@@ -1,0 +1,118 @@
+"""The report of dreamed video: strips and a moving picture to look at, and every number beside what it must beat."""
+
+import base64
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from markupsafe import Markup
+from matplotlib.figure import Figure as Canvas
+
+from edream.report.page import AFTER, BEFORE, COMMAND, PUBLISHED, Figure, draw, page
+from edream.report.recordings import about_recordings
+
+COLUMNS = (  # metric, region, heading
+    ("psnr", "all", "PSNR [dB]"),
+    ("psnr", "not object", "outside object"),
+    ("psnr", "object", "object"),
+    ("psnr", "robot", "robot"),
+    ("psnr", "background", "background"),
+    ("ssim", "all", "SSIM"),
+    ("gabor_distance", "all", "Gabor distance"),
+    ("gabor_frechet", "all", "Gabor Fréchet"),
+    ("flicker", "background", "flicker (1 is right)"),
+    ("silhouette_iou", "robot", "silhouette IoU"),
+)
+COLOURS = (AFTER, BEFORE, PUBLISHED, COMMAND)
+
+
+def dream_page(made: Mapping[str, Mapping[str, Any]], robot: str) -> str:
+    """The page as HTML.
+
+    Args:
+        made: stage -> file name -> value, of ingest, camera, render, masks, condition, dream and score.
+        robot: what to call it.
+    """
+    scored = made["score"]
+    summary, scores = scored["summary.json"], scored["scores.json"]
+    pictures = scores["pictures"]
+    content = {
+        "title": f"Dreamed video of {robot}",
+        "sentence": summary["sentence"],
+        "summary": summary,
+        "tiles": _tiles(summary),
+        "columns": [heading for _, _, heading in COLUMNS],
+        "rows": [{"label": row["label"], "cells": [_cell(row, m, r) for m, r, _ in COLUMNS]} for row in scores["rows"]],
+        "long": scores["long"],
+        "moving": _picture("moving", "In motion", " | ".join(pictures["moving"]), scored["moving.png"]),
+        "strips": [
+            _picture(
+                f"strip-{rank}",
+                f"{'Worst clip' if rank == 0 else f'Number {rank + 1} from the bottom'}: {psnr:.1f} dB",
+                f"From top to bottom: {'; '.join(pictures['rows'])}.",
+                scored[f"strip-{rank}.png"],
+            )
+            for rank, psnr in enumerate(pictures["psnr"])
+        ],
+        "overlay": _picture(
+            "masks", "Where objects were found", made["masks"]["summary.json"]["sentence"], made["masks"]["overlay.png"]
+        ),
+        "plate": _picture(
+            "plate", "The background plate", _plate_words(made["masks"]["summary.json"]), made["masks"]["plate.png"], False
+        ),
+        "losses": losses(made["dream"]["losses.json"]),
+        "stages": [made[name]["summary.json"]["sentence"] for name in ("camera", "render", "masks", "condition", "dream")],
+        "recordings": about_recordings(made["ingest"]),
+    }
+    return page("dream.html.j2", content)
+
+
+def _tiles(summary: Mapping[str, Any]) -> list[tuple[str, str, str]]:
+    found = [
+        ("PSNR", f"{summary['psnr']:.1f}", "dB"),
+        ("gain outside the object", f"{summary['gain_outside_object_db']:+.1f}", "dB"),
+        ("flicker, 1 is right", f"{summary['flicker']:.2f}", ""),
+        ("silhouette IoU", f"{summary['silhouette_iou']:.2f}", ""),
+        ("judged on", str(summary["clips"]), f"clips of {summary['frames']} images"),
+    ]
+    return found
+
+
+def _cell(row: Mapping[str, Any], metric: str, region: str) -> str:
+    value = row.get(metric, {}).get(region)
+    if value is None:
+        return "–"
+    if metric == "psnr":
+        return "copied" if value > 60.0 else f"{value:.1f}"
+    return f"{value:.3f}" if abs(value) < 1 else f"{value:.2f}"
+
+
+def _plate_words(summary: Mapping[str, Any]) -> str:
+    return f"Taken from {summary['plate_from']}."
+
+
+def _picture(name: str, title: str, caption: str, png: bytes, wide: bool = True) -> Figure:
+    source = base64.b64encode(png).decode()
+    drawing = Markup('<img class="pixels" alt="{}" src="data:image/png;base64,{}">').format(title, source)
+    return Figure(name, title, caption, drawing, wide)
+
+
+def losses(history: Mapping[str, Sequence[float]]) -> Figure | None:
+    """Training losses, smoothed; objectives differ in what they count, so only each line's own course says something."""
+    lines = {name: np.asarray(values) for name, values in history.items() if len(values) > 10}
+    if not lines:
+        return None
+
+    def plot(canvas: Canvas) -> None:
+        axis = canvas.subplots()
+        for (name, values), colour in zip(lines.items(), COLOURS, strict=False):
+            width = max(1, len(values) // 30)
+            smooth = np.convolve(values, np.ones(width) / width, "valid")
+            axis.plot(np.arange(len(smooth)) + width, smooth, color=colour, label=name)
+        axis.set_yscale("log")
+        axis.set(xlabel="training step [1]", ylabel="loss [1]")
+        canvas.legend(loc="outside upper left", ncols=4)
+
+    return draw(
+        "losses", "Training", "Mean loss over a thirtieth of the steps; a line still falling wants more steps.", plot, (5.6, 3.2)
+    )

@@ -1,0 +1,197 @@
+"""Score: what the dream model and all that it is compared with are worth on episodes that none of them saw."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from edream import catalog
+from edream.core.stage import Artifact, Bundle, Stage, Work
+from edream.ingest.layered import layered_images
+from edream.ingest.video import encode_image
+from edream.learn.determinism import deterministic
+from edream.vision.clips import STORED, Scenes, starts
+from edream.vision.dreamer import DreamModel
+from edream.vision.grain import Grain
+from edream.vision.judging import Clips, composites, drawn, long_video, plates, real_clips, regions, scores, silhouette_iou
+from edream.vision.strips import film_strip, side_by_side
+from edream.vision.trained import loaded
+from edream.vision.variants import DREAM, REGRESSION, WITHOUT, DreamOptions, variants
+
+Row = tuple[str, Callable[[], Clips]]
+
+
+@dataclass(frozen=True)
+class ScoreOptions:
+    """What is measured; see `conf/score/default.yaml` for each."""
+
+    clips: int = 64
+    steps: tuple[int, ...] = (1, 4)
+    metrics: tuple[str, ...] = ()
+    grain: bool = True
+    strips: int = 4
+    long: int = 200
+
+
+@dataclass(frozen=True)
+class ScoreRender:
+    """Of the rendering only its rate counts here, for the speed of the pictures."""
+
+    rate: float | None = None
+
+
+@dataclass(frozen=True)
+class ScoreConfig:
+    """What score reads."""
+
+    dream: DreamOptions
+    score: ScoreOptions
+    render: ScoreRender
+    seed: int
+
+
+@dataclass(frozen=True, eq=False)
+class Bench:
+    """What every row is made from."""
+
+    models: Mapping[str, DreamModel]
+    scenes: Scenes
+    picked: Sequence[tuple[int, int]]
+    frames: int
+    seed: int
+    sources: tuple[str, ...]
+    grain: Grain | None
+    steps: tuple[int, ...] = field(default=())
+
+    def drawn(self, name: str, source: str, grain: Grain | None, steps: int | None = None) -> Clips:
+        """Clips of one model."""
+        return drawn(self.models[name], self.scenes, self.picked, self.frames, source, self.seed, grain, steps)
+
+
+def run(inputs: Mapping[str, Artifact], config: ScoreConfig, work: Work) -> Bundle:
+    """Draw held-out clips from every model and measure them, beside plate and pasted composite."""
+    options, asked, about = config.dream, config.score, inputs["condition"]["summary.json"]
+    scenes = Scenes.gather(layered_images(inputs["condition"], STORED), work.folder("images"), about["held"])
+    picked = _picked(scenes, options.frames, asked.clips)
+    real, where = real_clips(scenes, picked, options.frames), regions(scenes, picked, options.frames)
+    models = {v.name: loaded(inputs["dream"], options, v, config.seed) for v in variants(options, tuple(about["object_sources"]))}
+    sources = tuple(about["object_sources"]) if options.objects else ("none",)
+    grain = Grain(tuple(about["grain"])) if asked.grain else None
+    bench = Bench(models, scenes, picked, options.frames, config.seed, sources, grain, asked.steps)
+    names = asked.metrics or catalog.names("metrics")
+    clips: dict[str, Clips] = {}
+    table: list[dict[str, Any]] = []
+
+    def measured(make: Callable[[], Clips], rng: np.random.Generator) -> Bundle:
+        made = make()
+        found = scores(made, real, where, names) | {"silhouette_iou": {"robot": silhouette_iou(made, scenes, picked, where)}}
+        return {"found.json": found, "made.safetensors": {"made": made}}
+
+    with deterministic():
+        for label, make in _rows(bench):
+            kept = work.shards(label.replace(" ", "_"), [make], measured, parallel=False)[0]
+            clips[label] = kept["made.safetensors"]["made"]
+            table.append({"label": label, **kept["found.json"]})
+        longest = _long(models[DREAM], scenes, options, sources[0], config.seed, asked.long)
+    table.append({"label": "real", "silhouette_iou": {"robot": silhouette_iou(real, scenes, picked, where)}})
+    pictures, about_pictures = _pictures(clips | {"real": real}, sources, asked.strips, config.render.rate or 12.5)
+    summary = _summary(table, sources, inputs["dream"]["summary.json"], longest, len(picked), options)
+    return pictures | {"summary.json": summary, "scores.json": {"rows": table, "long": longest, "pictures": about_pictures}}
+
+
+def _picked(scenes: Scenes, frames: int, most: int) -> list[tuple[int, int]]:
+    """Held-out clips: end to end, or half overlapping where that gives too few."""
+    found = starts(scenes, frames, True, frames)
+    if len(found) < most:
+        found = starts(scenes, frames, True, max(1, frames // 2))
+    return [found[i] for i in np.unique(np.linspace(0, len(found) - 1, min(most, len(found))).astype(int))]
+
+
+def _rows(bench: Bench) -> Iterator[Row]:
+    """Everything that is measured, each with a function that makes its clips."""
+    first = bench.sources[0]
+    yield "plate", lambda: plates(bench.scenes, bench.picked, bench.frames)
+    for source in dict.fromkeys([*bench.sources, "none"]):
+        yield f"composite {source}", lambda source=source: composites(bench.scenes, bench.picked, bench.frames, source)
+    for source in bench.sources:
+        yield f"{DREAM} {source}", lambda source=source: bench.drawn(DREAM, source, bench.grain)
+    if bench.grain is not None:
+        yield f"{DREAM} {first} without grain", lambda: bench.drawn(DREAM, first, None)
+    usual = bench.models[DREAM].objective.steps
+    for steps in bench.steps:
+        if steps != usual:
+            yield f"{DREAM} {first} in {steps} steps", lambda steps=steps: bench.drawn(DREAM, first, bench.grain, steps)
+    if REGRESSION in bench.models:
+        for source in bench.sources:
+            yield f"{REGRESSION} {source}", lambda source=source: bench.drawn(REGRESSION, source, None)
+        if bench.grain is not None:
+            yield f"{REGRESSION} {first} with grain", lambda: bench.drawn(REGRESSION, first, bench.grain)
+    if WITHOUT in bench.models:
+        yield WITHOUT, lambda: bench.drawn(WITHOUT, "none", bench.grain)
+
+
+def _long(model: DreamModel, scenes: Scenes, options: DreamOptions, source: str, seed: int, frames: int) -> dict[str, Any]:
+    if frames < 2 * options.frames:
+        return {}
+    number = max((n for n in range(len(scenes.names)) if scenes.held[n]), key=lambda n: scenes.lengths()[n])
+    return long_video(model, scenes, number, frames, options.frames, options.overlap, source, seed)
+
+
+def _pictures(clips: Mapping[str, Clips], sources: Sequence[str], count: int, rate: float) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Film strips of the worst clips, and a moving picture of the median one."""
+    main, real = f"{DREAM} {sources[0]}", clips["real"]
+    error = np.square(clips[main].astype(np.float32) - real.astype(np.float32)).mean(axis=(1, 2, 3, 4))
+    order = np.argsort(-error, kind="stable")
+    rows = [f"composite {sources[0]}", *(f"{DREAM} {s}" for s in sources), REGRESSION + f" {sources[0]}", WITHOUT, "real"]
+    rows = [label for label in rows if label in clips]
+    found: dict[str, Any] = {}
+    for rank, index in enumerate(order[:count]):
+        found[f"strip-{rank}.png"] = encode_image(film_strip([clips[label][index] for label in rows]), "png")
+    middle = int(order[len(order) // 2])
+    moving = [f"composite {sources[0]}", main, "real"]
+    found["moving.png"] = side_by_side([clips[label][middle] for label in moving], rate)
+    psnr = 10.0 * np.log10(255.0**2 / np.maximum(error, 1e-9))
+    return found, {
+        "rows": rows,
+        "moving": moving,
+        "psnr": [float(psnr[i]) for i in order[:count]],
+        "median_psnr": float(psnr[middle]),
+    }
+
+
+def _summary(
+    table: Sequence[Mapping[str, Any]],
+    sources: Sequence[str],
+    trained: Mapping[str, Any],
+    longest: Mapping[str, Any],
+    clips: int,
+    options: DreamOptions,
+) -> dict[str, Any]:
+    rows = {row["label"]: row for row in table}
+    main = rows[f"{DREAM} {sources[0]}"]
+    bases = [label for label in rows if label == "plate" or label.startswith("composite")]
+    best = max(bases, key=lambda label: rows[label]["psnr"]["not object"])
+    gain = main["psnr"]["not object"] - rows[best]["psnr"]["not object"]
+    summary: dict[str, Any] = {
+        "sentence": f"Dreamed video reaches {main['psnr']['not object']:.1f} dB outside the object on {clips} clips it never saw, "
+        f"{gain:+.1f} dB on {best!r}, the better of background plate and pasted composite.",
+        **{name: next(iter(row.values())) for name, row in main.items() if name != "label"},
+        "gain_outside_object_db": gain,
+        "clips": clips,
+        "frames": options.frames,
+        "codec_psnr": trained["codec_psnr"],
+        "weights_digest": trained["weights_digest"],
+    }
+    regression = rows.get(f"{REGRESSION} {sources[0]}")
+    if regression is not None:
+        summary |= {f"regression_{name}": next(iter(row.values())) for name, row in regression.items() if name != "label"}
+    if WITHOUT in rows:
+        for source in sources:
+            both = [rows[label]["psnr"]["object"] for label in (f"{DREAM} {source}", WITHOUT)]
+            if None not in both:
+                summary[f"object_gain_{source}_db"] = both[0] - both[1]
+    return summary | {f"long_{name}": value for name, value in longest.items()}
+
+
+ENTRY = Stage("score", 1, ("condition", "dream"), ScoreConfig, run, None, ("torch", "numpy", "scikit-image"))

@@ -1,0 +1,143 @@
+"""How good dreamed video is: metrics by region, the robot's silhouette, seams and drift of long video."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Bool, UInt8
+
+from edream import catalog
+from edream.core.metric import Metric
+from edream.vision.clips import Clip, Scenes, clip_of
+from edream.vision.dreamer import DreamModel, finished
+from edream.vision.grain import Grain
+from edream.vision.plate import brightness, grown
+
+Clips = UInt8[np.ndarray, "N T H W 3"]
+Regions = dict[str, Bool[np.ndarray, "N T H W"]]
+
+
+def real_clips(scenes: Scenes, picked: Sequence[tuple[int, int]], frames: int) -> Clips:
+    """What the camera saw."""
+    return np.stack([scenes.layers[n]["real"][f : f + frames] for n, f in picked])
+
+
+def regions(scenes: Scenes, picked: Sequence[tuple[int, int]], frames: int) -> Regions:
+    """Parts of the images: all, object (as segmented in the recording), not object, robot, and background (neither)."""
+    masks = np.stack([scenes.layers[n]["masks"][f : f + frames] for n, f in picked])
+    thing, robot = masks[..., 1] > 127, masks[..., 0] > 127
+    return {
+        "all": np.ones_like(thing),
+        "object": thing,
+        "not object": ~thing,
+        "robot": robot & ~thing,
+        "background": ~robot & ~thing,
+    }
+
+
+def drawn(
+    model: DreamModel,
+    scenes: Scenes,
+    picked: Sequence[tuple[int, int]],
+    frames: int,
+    source: str,
+    seed: int,
+    grain: Grain | None,
+    steps: int | None = None,
+) -> Clips:
+    """Clips that the model makes of the conditions."""
+    device = next(model.denoiser.parameters()).device
+    found = []
+    for number, first in picked:
+        clip = clip_of(scenes, [(number, first, source)], frames).to(device)
+        h, w = clip.real.shape[-2:]
+        noise = model.noise(1, frames, h, w, seed, first).to(device)
+        found.append(finished(model.sample(clip, noise, steps)[0], grain, seed, first))
+    return np.stack(found)
+
+
+def composites(scenes: Scenes, picked: Sequence[tuple[int, int]], frames: int, source: str) -> Clips:
+    """The conditions themselves: robot and object pasted over the background."""
+    return np.stack([finished(clip_of(scenes, [(n, f, source)], frames).composite[0], None, 0) for n, f in picked])
+
+
+def plates(scenes: Scenes, picked: Sequence[tuple[int, int]], frames: int) -> Clips:
+    """The background image alone."""
+    return np.stack([np.repeat(np.asarray(scenes.references[n])[None], frames, axis=0) for n, _ in picked])
+
+
+def scores(made: Clips, real: Clips, where: Regions, names: Sequence[str]) -> dict[str, dict[str, float | None]]:
+    """Every metric over every region, metric -> region -> number; metrics that are not regional have "all" alone."""
+    found: dict[str, dict[str, float | None]] = {}
+    for name in names:
+        metric = catalog.load("metrics", name, Metric)
+        if name == "flicker":  # moving edges would drown it
+            found[name] = {"background": metric.score(made, real, _still(where["background"]))}
+        else:
+            areas = where if metric.regional and name != "ssim" else {"all": where["all"]}
+            found[name] = {area: metric.score(made, real, mask) for area, mask in areas.items()}
+    return found
+
+
+def _still(background: Bool[np.ndarray, "N T H W"]) -> Bool[np.ndarray, "N T H W"]:
+    return np.stack([[~grown(~frame, 3) for frame in clip] for clip in background])
+
+
+def silhouette_iou(made: Clips, scenes: Scenes, picked: Sequence[tuple[int, int]], where: Regions) -> float:
+    """Overlap of the robot that is to be seen with the simulated one: what differs from the background near the robot, not counting the
+    object. Shadows and parts of the background's colour keep it below 1 even for real video, whose own value is the measure."""
+    common = total = 0
+    for clip, (number, first), thing in zip(made, picked, where["object"], strict=True):
+        plate = np.asarray(scenes.references[number]).astype(np.float32)
+        robot = scenes.layers[number]["masks"][first : first + len(clip), ..., 0] > 127
+        gain = brightness(clip, plate)
+        for image, mask, other, scale in zip(clip, robot, thing, gain, strict=True):
+            near = grown(mask, 3) & ~grown(other, 2)
+            apart = np.abs(image * scale - plate).max(axis=2) > 28.0
+            common += int((apart & mask & near).sum())
+            total += int(((apart | mask) & near).sum())
+    return common / max(total, 1)
+
+
+def to_and_fro(length: int, frames: int) -> np.ndarray:
+    """Rows that play an episode forwards and backwards until there are enough."""
+    there_and_back = np.r_[np.arange(length), np.arange(length - 2, 0, -1)]
+    return np.resize(there_and_back, frames)
+
+
+def long_video(
+    model: DreamModel, scenes: Scenes, number: int, frames: int, chunk: int, overlap: int, source: str, seed: int
+) -> dict[str, Any]:
+    """A long video, chunk by chunk: how much it jumps where chunks meet, and how much worse its end is than its beginning.
+
+    Returns:
+        `seam_ratio`: second difference in time at seams over that elsewhere (1: no seams), `drift_db`: PSNR of the first quarter minus that of
+        the last, less what the composite itself changes.
+    """
+    size = scenes.lengths()[number]
+    rows = to_and_fro(size, frames)
+    whole = clip_of(scenes, [(number, 0, source)], size)
+    names = ("real", "composite", "background", "robot", "object")
+    device = next(model.denoiser.parameters()).device
+    clip = Clip(*(getattr(whole, name)[:, rows] for name in names)).to(device)
+    made = model.long(clip, seed, chunk, overlap)[0].cpu()
+    real, pasted = clip.real[0].cpu(), clip.composite[0].cpu()
+    bend = (made[:-2] - 2.0 * made[1:-1] + made[2:]).square().mean(dim=(1, 2, 3))
+    calm = (real[:-2] - 2.0 * real[1:-1] + real[2:]).square().mean(dim=(1, 2, 3))
+    seams = {i for start in range(chunk, frames, chunk - overlap) for i in (start - 2, start - 1) if 0 <= i < len(bend)}
+    at = torch.tensor([i in seams for i in range(len(bend))])
+    relative = bend / calm.clamp(min=1e-8)
+    quarter = frames // 4
+    drift = [_psnr(v[:quarter], real[:quarter]) - _psnr(v[-quarter:], real[-quarter:]) for v in (made, pasted)]
+    return {
+        "frames": frames,
+        "chunk": chunk,
+        "overlap": overlap,
+        "seam_ratio": float((relative[at].mean() / relative[~at].mean()).sqrt()),
+        "drift_db": drift[0] - drift[1],
+    }
+
+
+def _psnr(a: torch.Tensor, b: torch.Tensor) -> float:
+    return float(10.0 * torch.log10(4.0 / (a - b).square().mean().clamp(min=1e-12)))

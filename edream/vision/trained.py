@@ -1,0 +1,34 @@
+"""Trained models as the stage `dream` leaves them."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import torch
+
+from edream.learn.checkpoint import fill
+from edream.vision.dreamer import DreamModel
+from edream.vision.variants import DreamOptions, Variant, device_of, new_model, without_weights
+
+CODEC = "codec.safetensors"
+
+
+def file_of(variant: str) -> str:
+    """Where the weights of a variant lie."""
+    return f"{variant.replace(' ', '_')}.safetensors"
+
+
+def loaded(trained: Mapping[str, Any], options: DreamOptions, variant: Variant, seed: int) -> DreamModel:
+    """A trained model, ready to draw from.
+
+    Args:
+        trained: file name -> tensors, as the stage `dream` makes it.
+
+    Raises:
+        EdreamError: the weights do not fit the options.
+    """
+    model = new_model(without_weights(options), variant, seed)
+    if CODEC in trained:
+        fill(model.codec, {name: torch.from_numpy(array) for name, array in trained[CODEC].items()}, CODEC)
+    name = file_of(variant.name)
+    fill(model.denoiser, {key: torch.from_numpy(array) for key, array in trained[name].items()}, name)
+    return model.eval().to(device_of(options))
