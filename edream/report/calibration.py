@@ -47,7 +47,7 @@ def calibration_page(
             for figure in overlays(traces, name, word)
         ],
         "parameters": _parameters(summary["parameters"], details["correlation"]["names"]),
-        "correlation": correlation(details["correlation"]["names"], details["correlation"]["values"]),
+        "correlation": correlation([tied(name) for name in details["correlation"]["names"]], details["correlation"]["values"]),
         "history": history(details["history"]),
         "surrogate": None if surrogate is None else surrogate["summary.json"],
         "difference": (details["model_difference"] or "").splitlines(),
@@ -170,8 +170,16 @@ def history(values: Sequence[float]) -> Figure | None:
     return draw("history", "The search", "The best loss so far; a flat end means that the search had arrived.", plot, (5.6, 3.0))
 
 
+def tied(name: str) -> str:
+    """`coulomb.torque[a+b+c]`, a number that joints share, as `coulomb.torque (3 joints)`."""
+    quantity, _, joints = name.removesuffix("]").partition("[")
+    return f"{quantity} ({joints.count('+') + 1} joints)" if joints.count("+") > 1 else name
+
+
 def _parameters(parameters: Mapping[str, Mapping[str, Any]], order: Sequence[str]) -> list[dict[str, Any]]:
     """Rows of the table in the order of the search."""
     words = {"converged": "found", "at_bound": "at its bound", "not_identifiable": "not identifiable"}
     names = [*order, *(name for name in parameters if name not in set(order))]
-    return [{"name": name, **parameters[name], "word": words[parameters[name]["status"]]} for name in names if name in parameters]
+    return [
+        {"name": tied(name), **parameters[name], "word": words[parameters[name]["status"]]} for name in names if name in parameters
+    ]

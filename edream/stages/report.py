@@ -65,4 +65,4 @@ def run(inputs: Mapping[str, Artifact], config: ReportConfig, work: Work) -> Bun
     return {PAGE: calibration_page(inputs["fit"], inputs["ingest"], inputs.get("surrogate"), robot)}
 
 
-ENTRY = Stage("report", 1, needs, ReportConfig, run, None, ("matplotlib",))
+ENTRY = Stage("report", 2, needs, ReportConfig, run, None, ("matplotlib",))
