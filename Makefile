@@ -6,7 +6,7 @@ NODE := .venv-node
 DEMO := runs/reproduce
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: reproduce test slow check check-lerobot check-mcap blind blind-slice clean
+.PHONY: reproduce test slow recovery faults bench-calibrate bench-steps check check-lerobot check-mcap blind blind-slice clean
 
 # A make-believe robot is recorded, its recordings ingested, its simulator calibrated; called again, it finds what is there.
 reproduce: .venv/ready
@@ -18,6 +18,24 @@ test: .venv/ready
 
 slow: .venv/ready
 	$(RUN)/python -m pytest -m slow -q
+
+# Planted truth on arm6: 24 numbers, 20 seeds, how many lie inside their 95 % interval.
+recovery: .venv/ready
+	$(RUN)/python -m pytest -q -s -m "slow or not slow" tests/recovery
+
+# Kills at random moments, two processes at once, flipped bits, a full disk: on small stages and on the real ones.
+faults: .venv/ready
+	$(RUN)/python -m pytest -q -s -m "slow or not slow" tests/faults
+
+# Our ways to fit against annealing, CMA-ES and mujoco.sysid: one loss, one data set, error and time as ratios. An hour or so.
+# Words for it, such as BENCH="--case arm6 --method gauss_newton".
+BENCH ?=
+bench-calibrate: .venv/ready-bench
+	$(RUN)/python benchmarks/bench_calibrate.py $(BENCH)
+
+# Steps per second of the sweep against a bare C loop over the same model.
+bench-steps: .venv/ready
+	$(RUN)/python benchmarks/bench_steps.py
 
 check: .venv/ready-dev
 	$(RUN)/ruff check edream tests
@@ -31,6 +49,10 @@ check: .venv/ready-dev
 
 .venv/ready-dev: .venv/ready
 	$(RUN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[test,dev]"
+	touch $@
+
+.venv/ready-bench: .venv/ready
+	$(RUN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[test,bench]"
 	touch $@
 
 # Our LeRobot export in the real client, which lives in an environment of its own.
