@@ -148,13 +148,22 @@ def _convert(value: Any, kind: Any, name: str) -> Any:
     if origin in (dict, Mapping) or (origin is not None and isinstance(origin, type) and issubclass(origin, Mapping)):
         if not isinstance(value, DictConfig):
             raise EdreamError(f"{name} is {value!r}; expected names with values: {{name: value}}.")
-        return {str(key): _convert(item, get_args(kind)[1], f"{name}.{key}") for key, item in value.items()}
+        inner = get_args(kind)[1]
+        for key, item in value.items() if is_dataclass(inner) else ():
+            known = [field.name for field in fields(inner)]
+            for unknown in set(item) - set(known) if isinstance(item, DictConfig) else ():
+                raise unknown_name(f"setting in {name}.{key}:", str(unknown), known)
+        return {str(key): _convert(item, inner, f"{name}.{key}") for key, item in value.items()}
     if kind is Path and isinstance(value, str):
         return Path(value).expanduser()
+    if name == "seed" and isinstance(value, int) and value < 0:
+        raise EdreamError(f"seed is {value}; expected 0 or more.")
     if kind is float and isinstance(value, int | float) and not isinstance(value, bool):
         if not math.isfinite(value):
             raise EdreamError(f"{name} is {value}; expected a finite number.")
         return float(value)
+    if kind is Any and isinstance(value, DictConfig | ListConfig):
+        return OmegaConf.to_container(value, resolve=True)
     if kind is Any or (type(value) is kind):
         return value
     raise EdreamError(f"{name} is {value!r}; expected {_expected(kind)}.")

@@ -21,3 +21,13 @@ def shared_data() -> Path:
 def root() -> Path:
     """The checkout."""
     return ROOT
+
+
+@pytest.fixture(scope="session")
+def rendering() -> None:
+    """Skips a test where nothing can be rendered."""
+    from tests.rendering import why_not
+
+    reason = why_not()
+    if reason:
+        pytest.skip(reason)

@@ -24,8 +24,6 @@ class FrameBlock(nn.Module):
         self.one, self.two = nn.Conv2d(inner, outer, 3, padding=1), nn.Conv2d(outer, outer, 3, padding=1)
         self.level = nn.Linear(embedded, 2 * outer)
         self.skip = nn.Conv2d(inner, outer, 1) if inner != outer else nn.Identity()
-        nn.init.zeros_(self.two.weight)
-        nn.init.zeros_(self.two.bias)  # type: ignore[arg-type]
 
     def forward(self, x: Tensor, level: Tensor) -> Tensor:
         b, t = x.shape[:2]

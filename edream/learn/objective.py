@@ -17,11 +17,13 @@ class Objective(ABC):
 
     Attributes:
         steps: sampling steps where the config names none.
+        residual: whether the network learns what is to be added to the composite, and so is shown the clip minus the composite.
     """
 
     name: str
     summary: str
     steps: int
+    residual: bool = False
 
     @abstractmethod
     def loss(

@@ -24,6 +24,7 @@ class Bridge(Objective):
     name = "bridge"
     summary = "flow from the composite plus small noise to the real video, residual on the composite"
     steps = 2
+    residual = True
 
     def loss(
         self, network: Network, real: Tensor, composite: Tensor, known: Tensor, chance: torch.Generator, options: Mapping[str, Any]

@@ -15,6 +15,7 @@ class Regression(Objective):
     name = "regression"
     summary = "mean squared error from the composite, no noise, one step"
     steps = 1
+    residual = True
 
     def loss(
         self, network: Network, real: Tensor, composite: Tensor, known: Tensor, chance: torch.Generator, options: Mapping[str, Any]

@@ -33,7 +33,7 @@ class Look:
     height: int = 96
     width: int = 96
     noise: float = 2.5
-    drift: float = 0.12
+    drift: float = 0.08
     things: bool = True
 
 

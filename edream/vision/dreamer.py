@@ -1,6 +1,6 @@
 """The dream model as one thing: codec, denoiser and objective, for training, for clips, for long video and frame by frame."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from edream import catalog
 from edream.core.errors import EdreamError
 from edream.learn.codec import Codec, FittedCodec, flat
 from edream.learn.denoiser import Denoiser, FittedDenoiser, Shown, State
-from edream.learn.objective import Objective
+from edream.learn.objective import Network, Objective
 from edream.vision.clips import Clip, composed, images
 from edream.vision.grain import Grain
 
@@ -74,14 +74,24 @@ class DreamModel(torch.nn.Module):
         masks = [
             pixel_unshuffle(one.flatten(0, 1), self.codec.factor).unflatten(0, one.shape[:2]) for one in (clip.robot, clip.object)
         ]
-        return composite, Shown(torch.cat([composite, background], dim=2), 2.0 * torch.cat(masks, dim=2) - 1.0)
+        # what robot and object change, rather than the whole image: the background is nearly the same in every clip
+        return composite, Shown(torch.cat([2.0 * (composite - background), background], dim=2), 2.0 * torch.cat(masks, dim=2) - 1.0)
+
+    def network(self, composite: Tensor, shown: Shown, caches: Iterator[State] | None = None) -> Network:
+        """The denoiser with its condition given; objectives that start from the composite show it what is left of the noisy clip."""
+        base = composite if self.objective.residual else torch.zeros_like(composite)
+
+        def run(x: Tensor, t: Tensor) -> Tensor:
+            return self.denoiser(x - base, t, shown, None if caches is None else next(caches))
+
+        return run
 
     def loss(self, clip: Clip, known: Tensor, chance: torch.Generator) -> Tensor:
         """The objective's loss on a batch."""
         with torch.no_grad():
             composite, shown = self.shown(clip)
             real = self.encode(clip.real)
-        return self.objective.loss(lambda x, t: self.denoiser(x, t, shown), real, composite, known, chance, self.options)
+        return self.objective.loss(self.network(composite, shown), real, composite, known, chance, self.options)
 
     @torch.no_grad()
     def sample(
@@ -91,7 +101,7 @@ class DreamModel(torch.nn.Module):
         composite, shown = self.shown(clip)
         known = None if before is None else self.encode(before)
         drawn = self.objective.sample(
-            lambda x, t: self.denoiser(x, t, shown), composite, noise, steps or self.objective.steps, self.options, known
+            self.network(composite, shown), composite, noise, steps or self.objective.steps, self.options, known
         )
         return self.decode(drawn)
 
@@ -172,11 +182,7 @@ class Dreamer:
         """
         clip = render.clip(self._reference)
         composite, shown = self.model.shown(clip)
-        turn = iter(state.caches)
-
-        def network(x: Tensor, t: Tensor) -> Tensor:
-            return self.model.denoiser(x, t, shown, next(turn))
-
+        network = self.model.network(composite, shown, iter(state.caches))
         h, w = clip.real.shape[-2:]
         noise = self.model.noise(1, 1, h, w, self.seed, state.frame)
         drawn = self.model.objective.sample(network, composite, noise, self.steps, self.model.options)

@@ -144,8 +144,6 @@ def fit_to_silhouettes(
     Raises:
         EdreamError: nothing moves in the images, or this machine cannot render.
     """
-    import cma
-
     picked = _pictures(episodes, name, frames)
     video = episodes[0].videos[name]
     moved, stances = picked
@@ -155,22 +153,12 @@ def fit_to_silhouettes(
     problem = _Silhouettes(robot, moved, stances, guess, h, w)
     starts = problem.starts()
     rough = sorted(starts, key=lambda x: problem.loss(x, 6.0))[:3]
-    best: tuple[float, np.ndarray] | None = None
-    for number, start in enumerate(rough):
-        x = start
-        for blur, share in ((5.0, 0.35), (2.0, 0.35), (0.8, 0.3)):
-            budget = max(30, int(share * evaluations / len(rough)))
-            options = {"seed": seed % 100000 + number + 1, "verbose": -9, "maxfevals": budget, "popsize": 10}
-            result = cma.fmin2(
-                lambda z, blur=blur: problem.loss(z, blur), x, 0.25 if blur > 4 else 0.08 if blur > 1 else 0.03, options
-            )
-            x = np.asarray(result[1].result.xbest)
-        score = problem.loss(x, 0.8)
-        if best is None or score < best[0]:
-            best = (score, x)
-    assert best is not None
-    camera = problem.camera(best[1]).resized(video.height, video.width)
-    overlap = problem.overlap(best[1])
+    first = [_descended(problem, start, 5.0, 0.25, int(0.13 * evaluations), seed + i) for i, start in enumerate(rough)]
+    best = min(first, key=lambda x: problem.loss(x, 2.0))
+    for blur, width, part in ((2.0, 0.1, 0.36), (0.8, 0.03, 0.25)):
+        best = _descended(problem, best, blur, width, int(part * evaluations), seed + 7)
+    camera = problem.camera(best).resized(video.height, video.width)
+    overlap = problem.overlap(best)
     problem.eye.close()
     focal = camera.intrinsics[1, 1]
     camera = Camera(
@@ -179,10 +167,22 @@ def fit_to_silhouettes(
     return camera, {"silhouette_iou": overlap, "frames": len(moved)}
 
 
+def _descended(
+    problem: "_Silhouettes", start: np.ndarray, blur: float, width: float, evaluations: int, seed: int
+) -> Float[np.ndarray, "8"]:
+    """CMA-ES from a start, at one blur; never worse than the start."""
+    import cma
+
+    options = {"seed": seed % 100000 + 1, "verbose": -9, "maxfevals": max(20, evaluations), "popsize": 10}
+    found = cma.fmin2(lambda x: problem.loss(x, blur), start, width, options)
+    x = np.asarray(found[1].result.xbest)
+    return x if problem.loss(x, blur) < problem.loss(start, blur) else start
+
+
 def _pictures(episodes: Sequence[Episode], name: str, frames: int) -> tuple[Bool[np.ndarray, "F H W"], list[dict[str, float]]]:
     """What moved in images spread over the episodes, and the robot's measured joints in each."""
     video = episodes[0].videos[name]
-    scale = SIZE / max(video.height, video.width)
+    scale = min(1.0, SIZE / max(video.height, video.width))
     h, w = max(8, round(video.height * scale)), max(8, round(video.width * scale))
     images, stances = [], []
     some = [episodes[i] for i in np.unique(np.linspace(0, len(episodes) - 1, min(len(episodes), 12)).astype(int))]
@@ -244,8 +244,8 @@ class _Silhouettes:
         return np.stack([self.eye.mask(stance) for stance in self.stances]).astype(np.float32) / 255.0
 
     def moving(self, masks: np.ndarray) -> np.ndarray:
-        """Of the rendered robot, what a median over the frames would not hold: the part that comes and goes."""
-        return masks * (masks.mean(axis=0) < 0.5)
+        """Where the rendered robot differs from what a median over the frames would hold: it is there and seldom is, or the reverse."""
+        return np.abs(masks - np.median(masks, axis=0))
 
     def loss(self, x: np.ndarray, blur: float) -> float:
         if blur not in self._targets:

@@ -1,0 +1,189 @@
+"""Every codec, denoiser, objective, metric and segmenter keeps its contract."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from edream import catalog
+from edream.core.errors import EdreamError
+from edream.core.metric import Metric
+from edream.core.segmenter import Footage, Segmenter
+from edream.learn.codec import Codec
+from edream.learn.denoiser import Denoiser, Shown
+from edream.learn.objective import Objective
+
+SMALL = {"unet": {"widths": (16, 32), "heads": 2}, "svd": {"widths": (32, 32), "cross": 8, "heads": 2}}
+CODECS = {"pixel_unshuffle": {"factor": 2}, "kl_vae": {"widths": (32, 32)}}
+chance = np.random.default_rng(0)
+
+
+@pytest.fixture(autouse=True)
+def one_thread() -> None:
+    torch.set_num_threads(1)
+
+
+@pytest.mark.parametrize("name", catalog.names("codecs"))
+def test_a_codec_says_its_shape_and_whether_it_loses_anything(name: str) -> None:
+    torch.manual_seed(0)
+    codec = catalog.load("codecs", name, Codec).build(CODECS[name], None).eval()
+    images = torch.rand(2, 3, 16, 32) * 2 - 1
+    with torch.no_grad():
+        latents = codec.encode(images)
+        back = codec.decode(latents)
+    assert latents.shape == (2, codec.channels, 16 // codec.factor, 32 // codec.factor) and back.shape == images.shape
+    assert not codec.lossless or torch.equal(back, images)
+
+
+def test_a_learned_codec_gets_better_when_it_is_trained() -> None:
+    torch.manual_seed(0)
+    entry = catalog.load("codecs", "kl_vae", Codec)
+    codec = entry.build(CODECS["kl_vae"], None)
+    losses = entry.train(codec, torch.rand(24, 3, 1, 1).expand(24, 3, 8, 8) * 2 - 1, 30, seed=0)
+    assert np.mean(losses[-5:]) < 0.85 * np.mean(losses[:5])
+
+
+@pytest.mark.parametrize("name", catalog.names("denoisers"))
+def test_a_new_denoiser_passes_the_composite_on_and_refuses_options_it_does_not_know(name: str) -> None:
+    torch.manual_seed(0)
+    entry = catalog.load("denoisers", name, Denoiser)
+    network = entry.build(12, 32, SMALL[name], None).eval()
+    x, shown = torch.randn(1, 4, 12, 8, 8), Shown(torch.randn(1, 4, 24, 8, 8), torch.randn(1, 4, 8, 8, 8))
+    with torch.no_grad():
+        out = network(x, torch.full((1, 4), 0.5), shown)
+    assert out.shape == x.shape and not out.any()
+    with pytest.raises(EdreamError, match="widhts"):
+        entry.build(12, 32, {"widhts": (8,)}, None)
+
+
+def test_the_unet_sees_nothing_of_the_future_and_streams_what_it_makes_at_once() -> None:
+    torch.manual_seed(1)
+    network = catalog.load("denoisers", "unet", Denoiser).build(12, 32, SMALL["unet"], None).eval()
+    with torch.no_grad():
+        for tensor in network.parameters():
+            tensor.add_(0.05 * torch.randn_like(tensor))
+    x, t = torch.randn(1, 20, 12, 8, 8), torch.full((1, 20), 0.7)
+    shown = Shown(torch.randn(1, 20, 24, 8, 8), torch.randn(1, 20, 8, 8, 8))
+    changed = x.clone()
+    changed[:, 12:] += 1.0
+    with torch.no_grad():
+        whole, other = network(x, t, shown), network(changed, t, shown)
+        state: dict[str, torch.Tensor] = {}
+        sizes, parts = set(), []
+        for i in range(20):
+            now = Shown(shown.latents[:, i : i + 1], shown.masks[:, i : i + 1])
+            parts.append(network(x[:, i : i + 1], t[:, i : i + 1], now, state))
+            if i >= 16:
+                sizes.add(sum(tensor.numel() for tensor in state.values()))
+    assert torch.allclose(whole[:, :12], other[:, :12], atol=1e-5) and not torch.allclose(whole[:, 12:], other[:, 12:], atol=1e-3)
+    assert torch.allclose(torch.cat(parts, dim=1), whole, atol=1e-4)
+    assert len(sizes) == 1, "the state of a stream stays of one size"
+
+
+@pytest.mark.parametrize("name", catalog.names("objectives"))
+def test_a_perfect_network_draws_the_real_clip(name: str) -> None:
+    """The network is the best there is for its objective: it knows the real clip."""
+    objective = catalog.load("objectives", name, Objective)
+    real, composite = torch.randn(1, 5, 3, 4, 4) * 0.4, torch.randn(1, 5, 3, 4, 4) * 0.4
+    noise = torch.randn(1, 5, 3, 4, 4)
+    made = objective.sample(_oracle(name, real, composite), composite, noise, max(objective.steps, 40), {})
+    assert torch.allclose(made, real, atol=0.02)
+    known = objective.sample(_oracle(name, real, composite), composite, noise, 10, {}, real[:, :2])
+    assert torch.equal(known[:, :2], real[:, :2])
+
+
+def _oracle(name: str, real: torch.Tensor, composite: torch.Tensor):
+    def network(x: torch.Tensor, t: torch.Tensor) -> torch.Tensor:
+        level = t[:, :, None, None, None]
+        if name == "epsilon":
+            return (x - torch.cos(level * torch.pi / 2) * real) / torch.sin(level * torch.pi / 2)
+        if name == "edm":
+            s = torch.exp(4.0 * level)
+            total = (s**2 + 0.25).sqrt()
+            return ((x * total) * 0.25 / total**2 - real) * total / (s * 0.5)
+        return real - composite
+
+    return network
+
+
+@pytest.mark.parametrize("name", catalog.names("objectives"))
+def test_a_loss_does_not_count_known_frames_and_repeats_with_its_chance(name: str) -> None:
+    objective = catalog.load("objectives", name, Objective)
+    real, composite = torch.randn(2, 4, 3, 4, 4), torch.randn(2, 4, 3, 4, 4)
+    known = torch.zeros(2, 4, dtype=torch.bool)
+    known[:, 0] = True
+    weight = torch.tensor(0.1, requires_grad=True)
+
+    def loss(target: torch.Tensor) -> torch.Tensor:
+        return objective.loss(lambda x, t: weight * x, target, composite, known, torch.Generator().manual_seed(3), {})
+
+    assert torch.equal(loss(real), loss(real))
+    loss(real).backward()
+    assert weight.grad is not None and torch.isfinite(weight.grad)
+
+
+@pytest.mark.parametrize("name", catalog.names("metrics"))
+def test_a_metric_prefers_the_real_clip_and_less_noise(name: str) -> None:
+    metric = catalog.load("metrics", name, Metric)
+    rng = np.random.default_rng(2)
+    real = np.clip(rng.integers(60, 200, (6, 1, 24, 24, 3)) + rng.normal(0, 6, (6, 6, 24, 24, 3)), 0, 255).astype(np.uint8)
+    region = np.ones(real.shape[:4], bool)
+
+    def worse(noise: float) -> float:
+        made = np.clip(real + np.random.default_rng(3).normal(0, noise, real.shape), 0, 255).astype(np.uint8)
+        value = metric.score(made, real, region)
+        assert value is not None and np.isfinite(value)
+        return {"more": -value, "less": value, "one": abs(np.log(max(value, 1e-9)))}[metric.better]
+
+    assert worse(0.0) < worse(10.0) < worse(40.0)
+    if metric.regional:
+        assert metric.score(real, real, np.zeros_like(region)) is None
+
+
+def footage() -> tuple[Footage, np.ndarray]:
+    """A textured scene with a robot, its shadow, and a bright object; and where the object truly is."""
+    rng = np.random.default_rng(5)
+    plate = rng.integers(100, 140, (48, 48, 3)).astype(np.uint8)
+    real, robot, truth = np.repeat(plate[None], 8, axis=0), np.zeros((8, 48, 48), np.uint8), np.zeros((8, 48, 48), np.uint8)
+    for t in range(8):
+        real[t, 5:20, 4 + t : 14 + t], robot[t, 5:20, 4 + t : 14 + t] = (30, 30, 35), 255
+        real[t, 22:30, 4 + t : 14 + t] = plate[22:30, 4 + t : 14 + t] * 0.6
+        real[t, 30:40, 20 + t : 32 + t], truth[t, 30:40, 20 + t : 32 + t] = (200, 60, 30), 1
+    real = np.clip(real + rng.normal(0, 2, real.shape), 0, 255).astype(np.uint8)
+    return Footage("one", real, plate, robot, truth * np.uint8(255)), truth
+
+
+@pytest.mark.parametrize("name", ["plate", "track", "precomputed", "sim"])
+def test_a_segmenter_finds_the_object_and_leaves_robot_and_shadow_out(name: str, tmp_path: Path) -> None:
+    seen, truth = footage()
+    np.savez(tmp_path / "one.npz", truth)
+    options = {"track": {"boxes": {"all": [20 / 48, 30 / 48, 12 / 48, 10 / 48]}}, "precomputed": {"folder": tmp_path}}.get(name, {})
+    found = catalog.load("segmenters", name, Segmenter).masks(seen, options)
+    assert (found & truth).sum() / (found | truth).sum() > 0.8
+    assert not (found & (seen.robot > 127)).any()
+
+
+def test_segmenters_say_what_they_lack(tmp_path: Path) -> None:
+    seen, _ = footage()
+    for name, words in (("track", "boxes"), ("precomputed", "masks.folder"), ("sam2", "masks.weights")):
+        with pytest.raises(EdreamError, match=words):
+            catalog.load("segmenters", name, Segmenter).masks(seen, {})
+    with pytest.raises(EdreamError, match=r"one\.npz"):
+        catalog.load("segmenters", "precomputed", Segmenter).masks(seen, {"folder": tmp_path})
+
+
+def test_run_lengths_are_read_as_coco_writes_them(tmp_path: Path) -> None:
+    seen, truth = footage()
+    rows = []
+    for mask in truth:
+        flat = np.concatenate([[0], mask.T.ravel(), [2]])
+        changes = np.flatnonzero(np.diff(flat) != 0)
+        rows.append({"size": [48, 48], "counts": np.diff([0, *changes]).tolist()})
+    import json
+
+    for row, mask in zip(rows, truth, strict=True):
+        row["counts"][-1] += mask.size - sum(row["counts"])
+    (tmp_path / "one.json").write_text(json.dumps(rows))
+    found = catalog.load("segmenters", "precomputed", Segmenter).masks(seen, {"folder": tmp_path})
+    assert np.array_equal(found, truth & (seen.robot <= 127))

@@ -1,0 +1,121 @@
+"""Cameras: projection, what the simulation renders, files, and poses found from marks and silhouettes."""
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+
+from edream.core.camera import Camera, as_json, from_json, looking_at, pinhole
+from edream.core.episode import Episode, Video
+from edream.core.errors import EdreamError
+from edream.core.scene import SceneObject
+from edream.sim.camera import SimulationCamera
+from edream.vision.pose import CameraGuess, Mark, fit_to_marks, fit_to_silhouettes
+from tests.rendering import camera_on, pan_tilt
+
+
+def test_a_camera_looks_where_it_is_told_to() -> None:
+    camera = pinhole(60, 80, 0.9, looking_at(np.array([1.0, -0.5, 0.6]), np.array([0.1, 0.2, 0.3])))
+    assert np.allclose(camera.project(np.array([[0.1, 0.2, 0.3]])), [[40.0, 30.0]])
+    above = camera.project(np.array([[0.1, 0.2, 0.4]]))[0]
+    assert above[1] < 30.0, "what is higher in the room is higher in the image"
+
+
+def test_a_point_behind_the_camera_has_no_pixel() -> None:
+    camera = pinhole(60, 80, 0.9, looking_at(np.array([1.0, 0.0, 0.0]), np.zeros(3)))
+    assert np.isnan(camera.project(np.array([[2.0, 0.0, 0.0]]))).all()
+
+
+def test_resizing_keeps_the_view() -> None:
+    camera = replace(pinhole(60, 80, 0.9, np.eye(4)), intrinsics=np.array([[70.0, 0, 35], [0, 65, 33], [0, 0, 1]]))
+    points = np.array([[0.2, -0.1, 1.5]])
+    assert np.allclose(camera.resized(120, 40).project(points), camera.project(points) * [0.5, 2.0])
+
+
+def test_cameras_survive_a_file_and_bad_ones_are_refused() -> None:
+    camera = camera_on()
+    again = from_json(as_json({"top": camera}), "here")["top"]
+    assert np.array_equal(again.pose, camera.pose) and np.array_equal(again.intrinsics, camera.intrinsics)
+    bad = as_json({"top": camera})
+    bad["top"]["extrinsics"][0][0] = 7.0
+    with pytest.raises(EdreamError, match="no rotation"):
+        from_json(bad, "here")
+    with pytest.raises(EdreamError, match="'side' is unreadable"):
+        from_json({"side": {"height": 3}}, "here")
+
+
+@pytest.mark.usefixtures("rendering")
+def test_what_is_rendered_lies_where_the_pinhole_says() -> None:
+    matrix = np.array([[150.0, 0, 70], [0, 140, 65], [0, 0, 1]])
+    camera = Camera(120, 160, matrix, looking_at(np.array([0.9, -0.4, 0.5]), np.array([0.0, 0.0, 0.1]), roll=0.3))
+    ball = SceneObject("ball", "sphere", (0.012,), (1.0, 0.0, 0.0))
+    eye = SimulationCamera(pan_tilt(), camera, [ball])
+    for place in ([0.2, -0.25, 0.05], [-0.2, 0.3, 0.3]):
+        seen = eye.see({"pan": 0.0, "tilt": 0.0}, {"ball": np.array([*place, 1.0, 0, 0, 0])}).object.astype(float)
+        v, u = np.mgrid[0:120, 0:160] + 0.5
+        centre = np.array([(u * seen).sum(), (v * seen).sum()]) / seen.sum()
+        assert np.abs(centre - camera.project(np.array([place]))[0]).max() < 0.3
+    eye.close()
+
+
+@pytest.mark.usefixtures("rendering")
+def test_the_robot_moves_in_the_image_and_hides_objects_behind_it() -> None:
+    eye = SimulationCamera(pan_tilt(), camera_on(), [SceneObject("box", "box", (0.05, 0.05, 0.05), (0.0, 1.0, 0.0))])
+    one, other = eye.see({"pan": 0.0, "tilt": 0.0}), eye.see({"pan": 1.0, "tilt": 0.5})
+    assert one.robot.mean() > 5 and np.abs(one.robot.astype(int) - other.robot.astype(int)).mean() > 2
+    assert not one.object.any()
+    behind = eye.see({"pan": 0.0, "tilt": 0.0}, {"box": np.array([-0.1, 0.09, 0.1, 1, 0, 0, 0])})
+    assert behind.object.any() and np.array_equal(behind.robot, one.robot)
+    eye.close()
+
+
+@pytest.mark.usefixtures("rendering")
+def test_a_joint_that_the_robot_does_not_have_is_named() -> None:
+    eye = SimulationCamera(pan_tilt(), camera_on(16))
+    with pytest.raises(EdreamError, match="'tilt'"):
+        eye.see({"tild": 0.0})
+    eye.close()
+
+
+def episode_seen_by(camera: Camera, images: np.ndarray, places: np.ndarray) -> Episode:
+    times = np.arange(len(places)) / 10.0
+    video = Video(times, camera.height, camera.width, lambda: iter(images))
+    return Episode("one", ("pan", "tilt"), times, places, times, places, videos={"top": video})
+
+
+def test_marked_points_give_back_the_camera_that_saw_them() -> None:
+    robot, camera = pan_tilt(), camera_on(200)
+    rng = np.random.default_rng(0)
+    places = np.stack([np.linspace(-1.5, 1.5, 8), 0.9 * np.sin(np.arange(8))], axis=1)
+    episode = episode_seen_by(camera, np.zeros((8, 200, 200, 3), np.uint8), places)
+    data, marks = mujoco.MjData(robot.model), []
+    for row, place in enumerate(places):
+        data.qpos[:] = place
+        mujoco.mj_kinematics(robot.model, data)
+        for name in ("ee", "head"):
+            point = (data.site if name == "ee" else data.body)(name).xpos
+            u, v = camera.project(point[None])[0] + rng.normal(0, 0.3, 2)
+            marks.append(Mark("one", row / 10.0, name, u, v))
+    found, quality = fit_to_marks(robot, [episode], "top", marks)
+    assert np.linalg.norm(found.pose[:3, 3] - camera.pose[:3, 3]) < 0.03
+    assert abs(found.intrinsics[0, 0] / camera.intrinsics[0, 0] - 1.0) < 0.05
+    assert quality["reprojection_error_px"] < 0.6
+    with pytest.raises(EdreamError, match="at least 6"):
+        fit_to_marks(robot, [episode], "top", marks[:3])
+
+
+@pytest.mark.usefixtures("rendering")
+def test_silhouettes_give_back_the_camera_from_a_rough_idea() -> None:
+    robot, camera = pan_tilt(), camera_on(40)
+    rng = np.random.default_rng(1)
+    places = np.stack([rng.uniform(-2.0, 2.0, 7), rng.uniform(-1.0, 1.0, 7)], axis=1)
+    eye = SimulationCamera(robot, camera)
+    masks = np.stack([eye.mask({"pan": p, "tilt": t}) for p, t in places])
+    eye.close()
+    images = np.round(90 + masks[..., None] / 255.0 * np.array([80, 90, 100]) + rng.normal(0, 2, (7, 40, 40, 3))).astype(np.uint8)
+    guess = CameraGuess(distance=0.7, azimuth=-25.0, elevation=20.0, fovy=50.0)
+    found, quality = fit_to_silhouettes(robot, [episode_seen_by(camera, images, places)], "top", guess, 7, 700, seed=0)
+    assert quality["silhouette_iou"] > 0.6, "of a thin moving outline; the true camera reaches 0.7"
+    points = rng.uniform(-0.08, 0.15, (40, 3))
+    assert np.sqrt(np.mean((found.project(points) - camera.project(points)) ** 2)) < 3.0
