@@ -62,6 +62,9 @@ class RecordConfig:
             raise EdreamError(
                 f"record.step is {self.step} s; expected at most 0.001 s, so that the robot is finer than its simulator."
             )
+        for name in ("noise", "jitter"):
+            if getattr(self, name) < 0:
+                raise EdreamError(f"record.{name} is {getattr(self, name)}; expected 0 or more.")
         if not 0.0 <= self.deviation < 1.0:
             raise EdreamError(f"record.deviation is {self.deviation}; expected a share from 0 to below 1.")
 

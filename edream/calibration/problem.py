@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float
 
 from edream.calibration.surrogate import Surrogate
 from edream.calibration.windows import Sequences
+from edream.core.errors import require
 from edream.core.parameters import ParameterSpace
 from edream.sim.least_squares import worth
 from edream.sim.objective import Objective
@@ -37,6 +38,11 @@ class FitterOptions:
     evaluations: int = 600
     descent_steps: int = 80
     rounds: int = 1
+
+    def __post_init__(self) -> None:
+        for name in ("iterations", "polish", "annealing_steps", "evaluations", "descent_steps"):
+            require(getattr(self, name) > 0, f"fit.search.{name}", getattr(self, name), "1 or more")
+        require(self.rounds >= 0, "fit.search.rounds", self.rounds, "0 or more")
 
 
 @dataclass(eq=False)

@@ -8,7 +8,7 @@ import numpy as np
 
 from edream import catalog
 from edream.core.effect import Effect
-from edream.core.errors import EdreamError, unknown_name
+from edream.core.errors import EdreamError, require, unknown_name
 from edream.core.parameters import ParameterSpace
 from edream.sim.mjcf_field import MjcfField
 from edream.sim.robot import RobotModel, joint_groups, load_robot
@@ -52,6 +52,9 @@ class ScaledBy:
     condition: str
     reference: float
 
+    def __post_init__(self) -> None:
+        require(self.reference > 0.0, f"The reference of condition {self.condition!r}", self.reference, "a number above 0")
+
 
 @dataclass(frozen=True)
 class Limits:
@@ -67,6 +70,9 @@ class Limits:
     high: float | None = None
     start: float | None = None
     spread: float | None = None
+
+    def __post_init__(self) -> None:
+        require(self.spread is None or self.spread > 0.0, "A spread in fit.limits", self.spread, "a number above 0")
 
 
 @dataclass(frozen=True)
@@ -96,6 +102,9 @@ class SpaceSettings:
     holdout_fraction: float = 0.2
     until: float | None = None
 
+    def __post_init__(self) -> None:
+        require(self.until is None or self.until > 0.0, "fit.until", self.until, "seconds above 0, or null for whole motions")
+
 
 def simulated_robot(robot: RobotModel, settings: SpaceSettings) -> SimulatedRobot:
     """The robot with every effect of the config placed on it.
@@ -119,7 +128,9 @@ def simulated_robot(robot: RobotModel, settings: SpaceSettings) -> SimulatedRobo
                     bounds[parameter.name] = {k: v for k, v in vars(settings.limits[name]).items() if v is not None}
             _fit_start(parameter, bounds)
         placements.append(replace(placement, scaled=scaled, fixed=fixed, bounds=bounds))
-    for name in (*settings.fixed, *settings.limits):
+    placed = {placement.effect.name for placement in placements}
+    scaled_here = [name for name in settings.scaled if name.partition(".")[0] in placed]
+    for name in (*settings.fixed, *settings.limits, *scaled_here):
         if name not in met:
             raise unknown_name("parameter", name, met)
     return SimulatedRobot(robot, tuple(with_weak_priors(robot, p) for p in placements))

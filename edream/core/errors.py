@@ -24,3 +24,13 @@ def unknown_name(what: str, name: str, known: Iterable[str]) -> EdreamError:
     hint = f" Did you mean {near[0]!r}?" if near else ""
     listed = ", ".join(known) if known else "none"
     return EdreamError(f"There is no {what} {name!r}.{hint} What exists: {listed}.")
+
+
+def require(good: bool, name: str, value: object, expected: str) -> None:
+    """Refuse a setting that is out of its range.
+
+    Raises:
+        EdreamError: naming the setting, its value and what was expected.
+    """
+    if not good:
+        raise EdreamError(f"{name} is {value}; expected {expected}.")

@@ -42,7 +42,8 @@ class Parameter:
         if self.scale == "log" and self.low <= 0.0:
             raise EdreamError(f"Parameter {self.name!r}: a log scale needs a low bound above 0, not {self.low}.")
         if not self.low <= self.start <= self.high:
-            raise EdreamError(f"Parameter {self.name!r}: its start {self.start} lies outside {self.low} to {self.high} {self.unit}.")
+            box = f"{self.low} to {self.high} {self.unit}"
+            raise EdreamError(f"Parameter {self.name!r}: its start {self.start} lies outside {box}.")
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ from edream.calibration.sweeping import from_tables
 from edream.calibration.windows import Sequences, draw_windows, join, measured_sequences, simulate
 from edream.calibration.worth import Worth, worth_of
 from edream.core.episode import Episode
+from edream.core.errors import require
 from edream.core.stage import Artifact, Bundle, Source, Stage, Work
 from edream.ingest.stored import stored_episodes
 from edream.sim.emit import emit
@@ -43,6 +44,12 @@ class FitSettings(SpaceSettings):
     seconds: float = 400.0
     rate: float = 25.0
     search: FitterOptions = field(default_factory=FitterOptions)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require(self.stretch > 0.0, "fit.stretch", self.stretch, "seconds above 0")
+        require(self.seconds > 0.0, "fit.seconds", self.seconds, "seconds above 0")
+        require(self.rate > 0.0, "fit.rate", self.rate, "samples a second, above 0")
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from edream.calibration.split import split_motions
 from edream.calibration.sweeping import SETS, STEPS, from_tables, to_tables
 from edream.calibration.windows import draw_windows, join, measured_sequences, simulate
 from edream.core.episode import Episode
+from edream.core.errors import require
 from edream.core.stage import Artifact, Bundle, Source, Stage, Work
 from edream.ingest.stored import stored_episodes
 from edream.sim.rollout import Window
@@ -44,6 +45,13 @@ class SweepSettings:
     windows: int = 160
     seconds: float = 0.5
     blocks: int = 16
+
+    def __post_init__(self) -> None:
+        require(self.sets >= 2 and self.sets & (self.sets - 1) == 0, "sweep.sets", self.sets, "a power of two, 2 or more")
+        for name in ("rounds", "windows", "blocks"):
+            require(getattr(self, name) > 0, f"sweep.{name}", getattr(self, name), "1 or more")
+        require(self.blocks <= self.sets, "sweep.blocks", self.blocks, f"no more than there are sets ({self.sets})")
+        require(self.seconds > 0.0, "sweep.seconds", self.seconds, "seconds above 0")
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from edream.calibration.surrogate import Surrogate
 from edream.calibration.windows import Sequences
-from edream.core.errors import EdreamError
+from edream.core.errors import EdreamError, require
 from edream.learn.determinism import deterministic
 
 DEFAULTS = {"hidden": 96, "members": 2, "epochs": 8, "horizon": 8, "batch": 512, "rate": 3e-3, "velocity_weight": 0.1}
@@ -36,6 +36,9 @@ class Mlp(Surrogate):
             if name not in DEFAULTS:
                 raise EdreamError(f"Surrogate mlp has no option {name!r}; it has {', '.join(DEFAULTS)}.")
         chosen = DEFAULTS | dict(options)
+        for name, value in chosen.items():
+            least = 0 if name == "velocity_weight" else 1e-9 if name == "rate" else 1
+            require(value >= least, f"surrogate.options.{name}", value, f"{least:g} or more")
         with deterministic():
             tensors = _norms(sweep) | _first_weights(sweep, int(chosen["hidden"]), int(chosen["members"]), seed)
             return Mlp(_train(tensors, sweep, chosen, seed))

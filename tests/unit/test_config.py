@@ -8,6 +8,9 @@ from omegaconf import OmegaConf
 
 from edream import config
 from edream.core.errors import EdreamError
+from edream.record import RecordConfig
+from edream.stages.fit import FitConfig
+from edream.stages.sweep import SweepConfig
 
 
 @dataclass(frozen=True)
@@ -101,6 +104,34 @@ def test_a_folder_of_ones_own_adds_choices_and_its_misspelt_keys_are_refused(tmp
     (tmp_path / "robot" / "mine.yaml").write_text("defaults: [custom]\nnmae: mine\n")
     with pytest.raises(EdreamError, match=r"'nmae'\. Did you mean 'name'"):
         pipeline.check_settings(config.compose(["robot=mine"], tmp_path))
+
+
+@pytest.mark.parametrize(
+    "override",
+    [
+        "fit.seconds=0",
+        "fit.stretch=-1",
+        "fit.rate=0",
+        "fit.until=0",
+        "fit.limits={coulomb.torque: {lo: 1}}",
+        "fit.limits={coulomb.torque: {spread: -1}}",
+        "fit.scaled={servo_gain.kp: {condition: gain, reference: 0}}",
+        "fit.search.iterations=0",
+        "sweep.sets=100",
+        "sweep.blocks=0",
+        "sweep.seconds=0",
+        "seed=-1",
+        "record.noise=-1",
+    ],
+)
+def test_a_setting_out_of_its_range_is_one_sentence_that_names_it(override: str) -> None:
+    cfg = config.compose(["robot=pan_tilt", "data=recordings", "record.out=made", override])
+    part = override.split(".")[0].split("=")[0]
+    kind = {"fit": FitConfig, "sweep": SweepConfig, "seed": FitConfig}.get(part)
+    with pytest.raises(EdreamError) as told:
+        config.read(cfg, kind) if kind else config.read(cfg.record, RecordConfig, "record")
+    assert "expected" in str(told.value) or "What exists" in str(told.value)
+    assert "\n" not in str(told.value)
 
 
 def test_settings_with_names_of_ones_own_can_be_given_on_the_command_line() -> None:
