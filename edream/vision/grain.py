@@ -28,7 +28,8 @@ class Grain:
 def measured_grain(footage: Iterable[UInt8[np.ndarray, "T H W 3"]]) -> Grain:
     """Noise of still pixels, from the second difference of three successive images: Var(a - 2 b + c) = 6 Var.
 
-    Robust against what moves by the median absolute deviation within each brightness.
+    What moves is left out: differences beyond four times the median absolute deviation within each brightness. The variance of rounding to
+    whole grey levels, 1/12, is taken off, for it comes back when dreamed images are rounded.
     """
     found: list[list[np.ndarray]] = [[] for _ in range(BINS)]
     for real in footage:
@@ -41,8 +42,14 @@ def measured_grain(footage: Iterable[UInt8[np.ndarray, "T H W 3"]]) -> Grain:
             some = bend[which == number]
             if len(some) > 50:
                 found[number].append(some[:: max(1, len(some) // 4000)])
-    levels = [1.4826 * float(np.median(np.abs(np.concatenate(some)))) / np.sqrt(6.0) if some else np.nan for some in found]
+    levels = [_spread(np.concatenate(some)) if some else np.nan for some in found]
     known = np.flatnonzero(np.isfinite(levels))
     if not len(known):
         return Grain((0.0,) * BINS)
     return Grain(tuple(float(v) for v in np.interp(np.arange(BINS), known, np.array(levels)[known])))
+
+
+def _spread(bend: Float[np.ndarray, "K"]) -> float:
+    size = np.abs(bend)
+    still = bend[size <= 4.0 * max(1.4826 * float(np.median(size)), 1.0)]
+    return float(np.sqrt(max(np.mean(np.square(still)) / 6.0 - 1.0 / 12.0, 0.0)))
