@@ -52,7 +52,7 @@ def library(problem: Problem) -> list[Effect]:
 def rounds(problem: Problem, effects: Sequence[Effect]) -> list[list[Candidate]]:
     """Candidates in rounds: those of one round act on different joints and are probed in one simulation.
 
-    Joint effects make one round each, over all joints; a pair effect one for each second joint; bodies, geoms and the world one each.
+    Joint effects make one round each, over all joints; a pair effect one for each second joint; bodies, geoms, the world one each.
     """
     model = problem.robot.model
     out: list[list[Candidate]] = []

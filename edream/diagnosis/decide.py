@@ -1,6 +1,6 @@
 """Which candidates stand: refits with all nuisance numbers free, judged on motions that the refit did not see."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,11 +9,11 @@ from jaxtyping import Float
 from edream.catalog import load
 from edream.core.effect import Effect
 from edream.diagnosis.candidates import Candidate, placement
-from edream.diagnosis.descent import Fit, descend, step_from
+from edream.diagnosis.descent import Fit, begin, descend, step_from, stretches
 from edream.diagnosis.problem import Problem
 from edream.diagnosis.screen import Scored, extend, scaled_probe, screen, with_quantities
 from edream.sim.least_squares import worth
-from edream.sim.objective import UNSTABLE_RESIDUAL, Objective
+from edream.sim.objective import UNSTABLE_RESIDUAL, Objective, rms
 from edream.sim.rollout import rollout_each
 from edream.sim.simulation import Placement
 
@@ -23,6 +23,7 @@ DRAWS = 4000
 SERIOUS_SHARE = 0.01
 SMALL, FAR = 10, 20.0  # at most so many numbers and a gap of so many floors: every refit starts from several places
 STRONG = 5.0  # probes
+LENGTHS = (1.0, 0.5, 0.2, 0.0)  # of a step
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,12 +66,29 @@ def left_out_errors(problem: Problem, fit: Fit) -> Float[np.ndarray, "M"]:
     """
     windows = fit.objective.windows
     fold = np.random.default_rng([problem.settings.seed, 11]).permutation(len(windows)) % min(FOLDS, len(windows))
+    if far_off(problem, fit):
+        return _left_out_carefully(fit, fold)
     sets = []
     for number in range(len(windows)):
         rows = ~np.isin(fit.objective.owner, np.flatnonzero(fold == fold[number]))
         sets.append(fit.space.from_unit(np.clip(fit.unit + step_from(fit, rows), 0.0, 1.0)))
     simulated = rollout_each(fit.objective.simulated, np.array(sets).reshape(len(windows), -1), windows, problem.settings.threads)
     return np.array([_mean_square(s, w.measured, problem.counted) for s, w in zip(simulated, windows, strict=True)])
+
+
+def _left_out_carefully(fit: Fit, fold: np.ndarray) -> Float[np.ndarray, "M"]:
+    """The same where a whole step may lead astray: of several lengths that which suits the other motions is taken."""
+    owner = fit.objective.owner
+    kept = [~np.isin(owner, np.flatnonzero(fold == one)) for one in range(fold.max() + 1)]
+    sets = [np.clip(fit.unit + length * step_from(fit, rows), 0.0, 1.0) for rows in kept for length in LENGTHS]
+    squares = fit.objective.residuals(fit.space.from_unit(np.array(sets))) ** 2
+    out = np.zeros(len(fold))
+    for one, rows in enumerate(kept):
+        mine = squares[one * len(LENGTHS) : (one + 1) * len(LENGTHS)]
+        best = mine[int(np.argmin(mine[:, rows].sum(axis=1)))]
+        for number in np.flatnonzero(fold == one):
+            out[number] = best[owner == number].mean()
+    return out
 
 
 def _mean_square(simulated: np.ndarray, measured: np.ndarray, counted: np.ndarray) -> float:
@@ -128,14 +146,52 @@ def try_best(
     done: Callable[[int], object] = lambda n: None,
 ) -> list[Trial]:
     """Refit the candidates with the largest shares; best on left-out motions first."""
-    serious = [s for s in scored if s.share >= SERIOUS_SHARE][:REFITTED]
-    if far_off(problem, fit, errors):
-        serious += [s for s in {s.candidate.effect: s for s in reversed(scored)}.values() if s not in serious]
+    if far_off(problem, fit):
+        return try_boldly(problem, fit, errors, scored, done)
     trials = []
-    for one in serious:
+    for one in [s for s in scored if s.share >= SERIOUS_SHARE][:REFITTED]:
         trials.append(refit(problem, fit, errors, one))
         done(1)
     return sorted(trials, key=lambda t: -t.closed)
+
+
+def far_off(problem: Problem, fit: Fit) -> bool:
+    """Whether the gap is so large that a linear test points anywhere, and the model so small that trying is cheap."""
+    return len(fit.unit) <= SMALL and fit.rms > FAR * problem.floor
+
+
+def try_boldly(
+    problem: Problem, fit: Fit, errors: Float[np.ndarray, "M"], scored: Sequence[Scored], done: Callable[[int], object]
+) -> list[Trial]:
+    """Every effect at its best place, from the best of several starts, on short stretches first; the best ones all the way."""
+    brief = begin(replace(fit.objective, windows=stretches(fit), simulations=0), fit.unit)
+    rough = []
+    for one in {s.candidate.effect: s for s in reversed(scored)}.values():
+        place = placement(problem, one.candidate)
+        extended, absent = extend(brief, [place])
+        starts = bold_starts(problem, place, one, extended, absent)
+        best = starts[int(np.argmin([rms(r) for r in extended.residuals(np.array(starts))]))]
+        near = descend(with_column(brief, extended, best), fresh_columns(brief, extended), 3)
+        rough.append((near, extend(fit, [place])[0], one))
+        done(1)
+    rough.sort(key=lambda found: found[0].rms)
+    trials = []
+    for begun, extended, one in rough[:REFITTED]:
+        near = descend(begun, None, iterations=6)
+        trials.append(judged(problem, descend(begin(extended, near.unit), None, iterations=4), errors, one))
+        done(1)
+    return sorted(trials, key=lambda t: -t.closed)
+
+
+def bold_starts(
+    problem: Problem, place: Placement, scored: Scored, extended: Objective, absent: Float[np.ndarray, "P"]
+) -> list[Float[np.ndarray, "P"]]:
+    """Parameter sets: where the score test says, and strong versions; each also with little of the friction it may replace."""
+    strong = [scaled_probe(place, problem, probe, STRONG) for probe in place.effect.probes(problem.robot.model, place.targets)]
+    quantities = [scored.start, *(s for s in strong[:4] if s is not None)]
+    starts = [with_quantities(extended, absent, [place], [one]) for one in quantities]
+    friction = np.array([name.startswith("coulomb.") for name in extended.simulated.space.names])
+    return [*starts, *(np.where(friction, 0.2 * start, start) for start in starts if friction.any())]
 
 
 def with_confusable(
@@ -150,7 +206,9 @@ def with_confusable(
     best = next((t for t in trials if passes(problem, t)), None)
     if best is None:
         return list(trials)
-    known = load("effects", best.candidate.effect, Effect).confusable
+    own = load("effects", best.candidate.effect, Effect)
+    every = {s.candidate.effect: load("effects", s.candidate.effect, Effect) for s in scored}
+    known = {name for name, effect in every.items() if name in own.confusable or own.name in effect.confusable}
     tried = {t.candidate.effect for t in trials}
     twins = {s.candidate.effect: s for s in reversed(scored) if s.candidate.effect in known and s.candidate.effect not in tried}
     more = []
@@ -164,28 +222,17 @@ def refit(problem: Problem, fit: Fit, errors: Float[np.ndarray, "M"], scored: Sc
     """One candidate, from where the score test puts it, with all nuisance numbers free."""
     place = placement(problem, scored.candidate)
     extended, absent = extend(fit, [place])
-    if not far_off(problem, fit, errors):
-        start = with_quantities(extended, absent, [place], [scored.start])
-        refitted = descend(with_column(fit, extended, start), fresh_columns(fit, extended), iterations=6)
-    else:
-        starts = [with_quantities(extended, absent, [place], [one]) for one in bold_starts(problem, place, scored)]
-        refitted = min((descend(with_column(fit, extended, one), None, iterations=8) for one in starts), key=lambda f: f.rms)
-    left = left_out_errors(problem, refitted)
+    start = with_quantities(extended, absent, [place], [scored.start])
+    return judged(problem, descend(with_column(fit, extended, start), fresh_columns(fit, extended), iterations=6), errors, scored)
+
+
+def judged(problem: Problem, fit: Fit, errors: Float[np.ndarray, "M"], scored: Scored) -> Trial:
+    """A refitted candidate on motions left out, against `errors` without it."""
+    left = left_out_errors(problem, fit)
     gain = errors - left
     gap = max(float(errors.mean()) - problem.floor**2, 1e-18)
     low, _ = bootstrap(gain, problem.settings.seed)
-    return Trial(scored.candidate, scored.share, refitted, left, float(gain.mean()) / gap, low > 0.0)
-
-
-def far_off(problem: Problem, fit: Fit, errors: Float[np.ndarray, "M"]) -> bool:
-    """Whether the gap is so large that a linear test points anywhere, and the model so small that trying is cheap."""
-    return len(fit.unit) <= SMALL and float(np.sqrt(errors.mean())) > FAR * problem.floor
-
-
-def bold_starts(problem: Problem, place: Placement, scored: Scored) -> list[Mapping[str, float]]:
-    """Where to begin far from the truth: where the score test says, and with strong versions of the effect."""
-    strong = [scaled_probe(place, problem, probe, STRONG) for probe in place.effect.probes(problem.robot.model, place.targets)]
-    return [scored.start, *(one for one in strong[:3] if one is not None)]
+    return Trial(scored.candidate, scored.share, fit, left, float(gain.mean()) / gap, low > 0.0)
 
 
 def fresh_columns(fit: Fit, extended: Objective) -> np.ndarray:
@@ -204,7 +251,7 @@ def with_column(fit: Fit, extended: Objective, start: Float[np.ndarray, "P"]) ->
 
 
 def passes(problem: Problem, trial: Trial) -> bool:
-    """Whether a refitted candidate may be named: large enough, sure, and its own numbers away from nothing and from their bounds."""
+    """Whether a refitted candidate may be named: large enough, sure, its own numbers away from nothing and from their bounds."""
     return trial.closed >= problem.settings.gain and trial.sure and stands(problem, trial.candidate, trial.fit)
 
 
@@ -260,4 +307,3 @@ def rivals(trials: Sequence[Trial], winner: Trial, seed: int) -> list[tuple[Tria
             low, _ = bootstrap(trial.errors - winner.errors, seed)
             out.append((trial, low > 0.0))
     return out
-

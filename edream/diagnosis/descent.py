@@ -9,9 +9,11 @@ from scipy.optimize import lsq_linear
 from edream.core.parameters import ParameterSpace
 from edream.sim.least_squares import jacobian, worth
 from edream.sim.objective import Objective, rms
+from edream.sim.rollout import Window, split
 
+STRETCH = 1.5  # s
 LONGEST_STEP = 0.2  # of the unit box
-TRIALS = (1.0, 0.5, 0.2)
+TRIALS = (1.0, 0.5, 0.2, 0.06)
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,10 +107,15 @@ def begin(objective: Objective, unit: Float[np.ndarray, "P"]) -> Fit:
     return Fit(objective, unit, residual, jacobian(objective, space, unit, residual), worth(objective, residual))
 
 
+def stretches(fit: Fit) -> list[Window]:
+    """The fit's motions cut into short stretches that restart at measured states: their errors have few false valleys."""
+    return [part for w in fit.objective.windows for part in split([w.episode], STRETCH, w.times[-1])]
+
+
 def descend(fit: Fit, fresh: Bool[np.ndarray, "P"] | None = None, iterations: int = 6, tolerance: float = 3e-3) -> Fit:
     """Go down until a step gains less than `tolerance` of the cost.
 
-    Each step solves the bounded, prior-weighted linear problem and tries it at three lengths in one batch. Columns in `fresh` are
+    Each step solves the bounded, prior-weighted linear problem and tries it at four lengths in one batch. Columns in `fresh` are
     differenced anew after each step, the others follow by Broyden's update.
 
     Args:

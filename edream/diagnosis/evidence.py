@@ -17,9 +17,9 @@ from edream.sim.simulation import SimulatedRobot
 def evidence(found: Diagnosis) -> Mapping[str, Any]:
     """Tables by file name.
 
-    `traces.parquet`: never-fitted motions, one row a (motion, joint, time): command, measured, published, before, after [rad], speed
-    [rad/s] and gravity load [N m]. `errors.json`: root-mean-square error by motion and joint, before and after, over all motions.
-    `ladder.json`: error on never-fitted motions after each added effect. `ranking.json`: every round's candidates with their shares.
+    `traces.parquet`: never-fitted motions, one row a (motion, joint, time): command, measured, published, before, after [rad],
+    speed [rad/s] and gravity load [N m]. `errors.json`: root-mean-square error by motion and joint, before and after, over all
+    motions. `ladder.json`: error on never-fitted motions after each added effect. `ranking.json`: every round's candidates.
     `nuisance.json`: nuisance numbers published, before and after, with intervals.
     """
     problem = found.problem
@@ -98,7 +98,8 @@ def gravity_load(problem: Problem, window: Window) -> np.ndarray:
 def _errors(found: Diagnosis) -> dict[str, Any]:
     problem = found.problem
     windows = (*problem.fitted, *problem.proof)
-    out: dict[str, Any] = {"joints": list(problem.joints), "motions": [w.episode.name for w in windows], "proof": len(problem.proof)}
+    names = [w.episode.name for w in windows]
+    out: dict[str, Any] = {"joints": list(problem.joints), "motions": names, "proof": len(problem.proof)}
     for label, fit in (("before", found.before), ("after", found.after)):
         positions = _positions(problem, fit.objective.simulated, fit.values, windows)
         out[label] = [
@@ -115,7 +116,16 @@ def _nuisance(found: Diagnosis) -> list[dict[str, Any]]:
         for place in found.before.objective.simulated.placements
         for p in place.effect.parameters(found.problem.robot.model, place.targets)
     }
-    return [{"name": name, "unit": published[name].unit, "published": published[name].start, "before": before[name], "after": after.get(name)} for name in before]
+    return [
+        {
+            "name": name,
+            "unit": published[name].unit,
+            "published": published[name].start,
+            "before": numbers,
+            "after": after.get(name),
+        }
+        for name, numbers in before.items()
+    ]
 
 
 def _numbers(fit: Fit) -> dict[str, dict[str, float]]:

@@ -12,9 +12,9 @@ from edream.catalog import load
 from edream.core.effect import Effect
 from edream.core.episode import Episode
 from edream.core.errors import EdreamError, unknown_name
+from edream.sim.robot import RobotModel, joint_groups
 from edream.sim.rollout import Window, whole
 from edream.sim.simulation import Placement, Scaling
-from edream.sim.robot import RobotModel, joint_groups
 
 CREDIBLE_FACTOR = 2.5
 NOMINAL_SPREAD = math.log(1.35)

@@ -1,9 +1,9 @@
 """What is left and has no name: a short formula for it, found by sparse regression in the simulator's own response.
 
-Each feature is a torque on the joint with the largest gap, such as a bump over its angle or its neighbour's speed. A probe simulation
-gives what a little of it does to the motion; orthogonal matching pursuit picks the few whose responses explain the residual; their
-coefficients are refitted with all nuisance numbers free. Source: Pati, Rezaiifar, Krishnaprasad, Asilomar 1993 (matching pursuit);
-Brunton, Proctor, Kutz, PNAS 113(15), 2016 (sparse identification of dynamics).
+Each feature is a torque on the joint with the largest gap, such as a bump over its angle. A probe simulation gives what a
+little of it does to the motion; orthogonal matching pursuit picks the few whose responses explain the residual; their
+coefficients are refitted with all nuisance numbers free. Source: Pati, Rezaiifar, Krishnaprasad, Asilomar 1993 (matching
+pursuit); Brunton, Proctor, Kutz, PNAS 113(15), 2016 (sparse identification of dynamics).
 """
 
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,7 @@
 """Score test: which candidate's fingerprint is in what the nuisance numbers cannot explain?
 
 At the best fit without the candidate let r be the residual and J its Jacobian. A probe simulation with a little of the candidate
-changes the residual by D. Project J out of both (the nuisance numbers would take that part). What is believed of the nuisance numbers
+changes the residual by D. Project J out of both (the nuisance numbers would take that part). What is believed of these numbers
 beforehand counts as further rows: how far they were pushed, which a candidate does not change by itself. The share of r that the
 candidate can explain, to first order, is
 
@@ -10,12 +10,14 @@ candidate can explain, to first order, is
 Source: Rao's score test, Mathematical Proceedings of the Cambridge Philosophical Society 44(1), 1948.
 """
 
+import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
 
+from edream.core.errors import EdreamError
 from edream.diagnosis.candidates import Candidate, library, placement, rounds, tied
 from edream.diagnosis.descent import Fit
 from edream.diagnosis.problem import Problem
@@ -23,6 +25,7 @@ from edream.sim.objective import Objective
 from edream.sim.simulation import Placement, SimulatedRobot
 
 FINALISTS = 24
+log = logging.getLogger(__name__)
 LARGEST_ALPHA = 20.0
 
 
@@ -51,7 +54,7 @@ def screen(problem: Problem, fit: Fit, done: Callable[[int], object] = lambda n:
     first: list[Scored] = []
     for one in rounds(problem, library(problem)):
         fresh = [c for c in one if (c.effect, c.targets) not in present]
-        if fresh:
+        if fresh and fits_beside(problem, fit, fresh):
             first += _probe_round(problem, fit, fresh, total)
         done(1)
     first.sort(key=lambda s: -s.share)
@@ -62,6 +65,16 @@ def screen(problem: Problem, fit: Fit, done: Callable[[int], object] = lambda n:
     second = [again for s in (*chosen, *joined) if (again := confirm(problem, fit, s, base, total)) is not None]
     done(1)
     return sorted(second, key=lambda s: -s.share)
+
+
+def fits_beside(problem: Problem, fit: Fit, candidates: Sequence[Candidate]) -> bool:
+    """Whether MuJoCo has a form for these candidates together with the effects that the model has already."""
+    extended, _ = extend(fit, [placement(problem, c) for c in candidates])
+    try:
+        return extended.simulated.model is not None
+    except EdreamError as reason:
+        log.info("%s is not tried: %s", candidates[0].effect, reason)
+        return False
 
 
 def prior_rows(fit: Fit) -> tuple[Float[np.ndarray, "P"], Float[np.ndarray, "P P"]]:

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from edream.catalog import load
 from edream.core.effect import Effect
 from edream.diagnosis.candidates import Candidate, placement
-from edream.diagnosis.decide import Round, Trial, backward, forward, proof_errors, rivals
+from edream.diagnosis.decide import Round, Trial, backward, bootstrap, forward, proof_errors, rivals
 from edream.diagnosis.descent import Fit
 from edream.diagnosis.nuisance import fit_nuisance, published
 from edream.diagnosis.problem import Problem
@@ -104,7 +104,8 @@ def diagnose(problem: Problem, done: Callable[[str, int], object] = lambda text,
     effects = [_named(problem, fit, t, rounds) for t in trials]
     suspects: list[Suspect] = []
     if not trials and (numbers := off_nominal(problem, fit)):
-        suspects = find_suspects(problem, fit, lambda n: done("looking behind strange numbers", n))
+        strange = [placement(problem, Candidate(n.name, n.targets)).full_name(q) for n in numbers for q in n.values]
+        suspects = find_suspects(problem, fit, strange, lambda n: done("looking behind strange numbers", n))
         effects = with_suspects(problem, numbers, suspects)
     remainder = unexplained(problem, before, fit, rounds, trials)
     done("remainder", 1)
@@ -206,7 +207,7 @@ def off_nominal(problem: Problem, fit: Fit) -> list[Named]:
 
 
 def with_suspects(problem: Problem, numbers: list[Named], suspects: Sequence[Suspect]) -> list[Named]:
-    """Strange numbers, or the one effect that would make them ordinary: then that, and the numbers as what it may be confused with."""
+    """Strange numbers, or the one effect that would make them ordinary: then that, which they may be confused with."""
     if not suspects:
         return numbers
     best, others = suspects[0], suspects[1:]
@@ -260,7 +261,8 @@ def sentence(verdict: Verdict, effects: Sequence[Named], remainder: Remainder | 
     if verdict == "cannot_tell":
         doubtful = [one for one in effects if one.confusable_with]
         names = "; ".join(f"{one.name} may be {' or '.join(one.confusable_with)}" for one in doubtful)
-        return f"Your simulator lacks {_and(parts)}, but these motions cannot tell it from others: {names}. Record the suggested motion."
+        missing = f"Your simulator lacks {_and(parts)}"
+        return f"{missing}, but these motions cannot tell it from others: {names}. Record the suggested motion."
     return f"Your simulator lacks {_and(parts)}."
 
 

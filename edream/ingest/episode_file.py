@@ -93,7 +93,8 @@ def write_commands(joints: tuple[str, ...], times: np.ndarray, command: np.ndarr
         for time, _, number, data in _states(channel, 0, nanoseconds(times), joints, (command, None, None)):
             writer.add_message(number, time, data, publish_time=time)
         writer.add_metadata("motion", {"joints": json.dumps(list(joints)), "seconds": repr(float(times[-1]))})
-        writer.add_attachment(0, 0, "about.txt", "text/plain", b"Commands to play on the robot and record; rad (m for slides), seconds.")
+        about = b"Commands to play on the robot and record; rad (m for slides), seconds."
+        writer.add_attachment(0, 0, "about.txt", "text/plain", about)
         writer.finish()
 
 
