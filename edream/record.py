@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from edream import catalog
 from edream.core.episode import Recording
@@ -30,6 +31,8 @@ class RecordConfig:
         format: format of the data set.
         motions: number of recordings.
         seconds: length of each [s].
+        motion: a table of commands (time [s], then a column [rad or m] a joint) to play instead of motions drawn by chance, such as
+            the `next_motion.csv` of a diagnosis; its length counts then.
         rate: rows per second [Hz].
         step: integration step [s].
         deviation: largest relative deviation of the nuisance parameters.
@@ -45,6 +48,7 @@ class RecordConfig:
     format: str = "aloha_hdf5"
     motions: int = 12
     seconds: float = 10.0
+    motion: Path | None = None
     rate: float = 50.0
     step: float = 0.0005
     deviation: float = 0.3
@@ -94,7 +98,8 @@ def record(robot: RobotModel, config: RecordConfig, seed: int = 0) -> dict[str, 
     recorder = Recorder(config.rate, config.jitter, config.noise, config.counts, config.step)
     filming = Filming(robot, config.look, seed) if config.video else None
     chance = int(motions.generate_state(1)[0])
-    made = make_recordings(robot, truth, chance, config.motions, config.seconds, recorder, filming)
+    plan = None if config.motion is None else read_motion(config.motion, robot, config.rate)
+    made = make_recordings(robot, truth, chance, config.motions, config.seconds, recorder, filming, plan)
     out.parent.mkdir(parents=True, exist_ok=True)
     if filming is None:
         form.write(made, out)
@@ -113,6 +118,30 @@ def record(robot: RobotModel, config: RecordConfig, seed: int = 0) -> dict[str, 
         "joints": list(robot.joints),
         **filmed,
     }
+
+
+def read_motion(path: Path, robot: RobotModel, rate: float) -> Float[np.ndarray, "K J"]:
+    """Commands of a table at `rate` rows per second, in the order of the model's joints, (K, J).
+
+    Raises:
+        EdreamError: there is no such file, or a joint has no column, or a number is missing or out of order.
+    """
+    if not path.is_file():
+        raise EdreamError(f"There is no file {path}; record.motion is a CSV with columns time, {', '.join(robot.joints)}.")
+    try:
+        table = np.genfromtxt(path, delimiter=",", names=True, deletechars="", dtype=float, ndmin=1)
+    except ValueError as error:
+        raise EdreamError(f"{path} is not a table of numbers: {' '.join(str(error).split())[:200]}") from error
+    names = table.dtype.names or ()
+    for name in ("time", *robot.joints):
+        if name not in names:
+            raise EdreamError(f"{path} has no column {name!r}. What exists: {', '.join(names)}.")
+    values = np.stack([table[name] for name in ("time", *robot.joints)], axis=1)
+    if len(values) < 2 or not np.isfinite(values).all() or (np.diff(values[:, 0]) <= 0).any():
+        raise EdreamError(f"{path} must have at least 2 rows of finite numbers with rising times.")
+    clock = np.arange(0.0, values[-1, 0] - values[0, 0] + 1e-9, 1.0 / rate)
+    order = [robot.joints.index(robot.model.joint(i).name) for i in range(robot.model.njnt)]
+    return np.stack([np.interp(clock, values[:, 0] - values[0, 0], values[:, 1 + j]) for j in order], axis=1)
 
 
 def _names(form: Format, out: Path, made: Sequence[Recording], rate: float) -> list[str]:

@@ -45,6 +45,7 @@ def make_recordings(
     seconds: float = 10.0,
     recorder: Recorder | None = None,
     film: Film | None = None,
+    plan: np.ndarray | None = None,
 ) -> list[Recording]:
     """Record the make-believe robot as it follows motions drawn from `seed`.
 
@@ -56,10 +57,14 @@ def make_recordings(
         seconds: length of each [s].
         recorder: how it is recorded.
         film: `film(index, times (T,), joints (T, nq))` gives the cameras' images of a motion, from where its links truly were.
+        plan: commands that every motion follows instead, (K, J), `recorder.rate` rows a second.
     """
     recorder = recorder or Recorder()
     moving, noising = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
-    wanted = commands(robot.model, moving, n_motions, seconds, recorder.rate)
+    if plan is None:
+        wanted = commands(robot.model, moving, n_motions, seconds, recorder.rate)
+    else:
+        wanted = np.repeat(plan[None], n_motions, axis=0)
     due = np.arange(wanted.shape[1]) / recorder.rate
     jitter = np.clip(noising.normal(0.0, recorder.jitter, wanted.shape[:2]), -0.2 / recorder.rate, 0.2 / recorder.rate)
     times = np.maximum(due + jitter, 0.0)

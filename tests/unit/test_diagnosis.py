@@ -1,0 +1,90 @@
+"""Parts of the diagnosis that can be judged alone."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.blind.cases import robot_of
+from edream.core.episode import Episode
+from edream.core.errors import EdreamError
+from edream.diagnosis.candidates import Candidate, placement
+from edream.diagnosis.descent import Fit, begin
+from edream.diagnosis.next_motion import as_window, draw, room_of, separations, suggest
+from edream.diagnosis.nuisance import published
+from edream.diagnosis.problem import Problem, Settings, measurement_noise, nuisance_placements, prepare
+from edream.diagnosis.screen import extend, fits_beside, with_quantities
+from edream.sim.rollout import rollout
+from edream.sim.simulation import SimulatedRobot
+
+NOISE = 3e-4
+
+
+def _episode(number: int, robot, seconds: float = 4.0) -> Episode:
+    rng = np.random.default_rng(number)
+    times = np.arange(0.0, seconds, 0.02)
+    phase = rng.uniform(0.0, 6.0, 2)
+    command = 0.5 * np.sin(times[:, None] * rng.uniform(1.0, 3.0, 2) + phase)
+    return Episode(f"motion_{number}", robot.joints, times, command, times, command)
+
+
+@pytest.fixture(scope="module")
+def problem() -> Problem:
+    robot = robot_of("pan_tilt")
+    assert robot is not None
+    bare = prepare(robot, [_episode(i, robot) for i in range(5)], Settings())
+    windows = (*bare.fitted, *bare.proof)
+    moved = rollout(SimulatedRobot(robot, ()), np.zeros((1, 0)), windows)
+    rng = np.random.default_rng(7)
+    measured = [replace(w.episode, position=m[0] + rng.normal(0.0, NOISE, m[0].shape)) for w, m in zip(windows, moved, strict=True)]
+    return prepare(robot, measured, Settings())
+
+
+@pytest.fixture(scope="module")
+def fit(problem: Problem) -> Fit:
+    simulated = SimulatedRobot(problem.robot, nuisance_placements(problem))
+    return begin(replace(published(problem), simulated=simulated), simulated.space.to_unit(simulated.space.start()))
+
+
+def test_the_noise_of_the_measurements_is_found_behind_the_motion(problem: Problem) -> None:
+    noise = measurement_noise([w.episode for w in problem.fitted])
+    assert np.all((noise > 0.7 * NOISE) & (noise < 1.4 * NOISE))
+
+
+def test_no_motion_is_both_fitted_and_proof(problem: Problem) -> None:
+    fitted, proof = ({w.episode.name for w in windows} for windows in (problem.fitted, problem.proof))
+    assert proof and len(fitted) >= 3 and not fitted & proof
+
+
+def test_motions_held_out_by_pattern_are_the_proof(problem: Problem) -> None:
+    episodes = [w.episode for w in (*problem.fitted, *problem.proof)]
+    again = prepare(problem.robot, episodes, Settings(holdout=("motion_[12]",)))
+    assert {w.episode.name for w in again.proof} == {"motion_1", "motion_2"}
+    with pytest.raises(EdreamError, match="motoin_1"):
+        prepare(problem.robot, episodes, Settings(holdout=("motoin_1",)))
+
+
+def test_effects_that_mujoco_cannot_combine_are_not_tried(problem: Problem, fit: Fit) -> None:
+    lag = placement(problem, Candidate("actuator_lag", ("tilt",)))
+    extended, values = extend(fit, [lag])
+    lagging = replace(fit, objective=extended, unit=extended.simulated.space.to_unit(values))
+    assert fits_beside(problem, fit, [Candidate("slew_limit", ("tilt",))])
+    assert not fits_beside(problem, lagging, [Candidate("slew_limit", ("tilt",))])
+
+
+def test_the_suggested_motion_stays_inside_the_robots_room_and_separates_better_than_most(problem: Problem, fit: Fit) -> None:
+    fits = []
+    for effect, quantities in (("actuator_delay", {"time": 0.01}), ("actuator_lag", {"time": 0.01})):
+        place = placement(problem, Candidate(effect, ("tilt",)))
+        extended, absent = extend(fit, [place])
+        values = with_quantities(extended, absent, [place], [quantities])
+        fits.append(begin(extended, extended.simulated.space.to_unit(values)))
+    motion = suggest(problem, fits, np.random.default_rng(1))
+    room = room_of(problem)
+    assert np.all(motion.command >= room.low - 1e-9) and np.all(motion.command <= room.high + 1e-9)
+    speed = np.abs(np.diff(motion.command, axis=0)) / np.diff(motion.times)[:, None]
+    assert np.all(speed.max(axis=0) <= 1.05 * room.speed)
+    others = [draw(room, np.random.default_rng(100 + i)) for i in range(15)]
+    apart = separations(problem, fits, [motion.command, *others])
+    assert apart[0] > np.median(apart[1:])
+    assert motion.evidence > 0.0 and as_window(problem, motion.command).times[-1] > 5.0
