@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from edream.core.episode import Episode
+from edream.core.errors import require
 from edream.core.format import Malformed, ReadOptions
 from edream.core.stage import Artifact, Bundle, Source, Stage, Work
 from edream.ingest.episode_file import write_episode
@@ -35,6 +36,11 @@ class IngestOptions:
     command_shift: int = 0
     images: str = "png"
     mapping: MappingConfig = field(default_factory=MappingConfig)
+
+    def __post_init__(self) -> None:
+        require(self.fps is None or self.fps > 0.0, "ingest.fps", self.fps, "rows a second, above 0")
+        require(self.colour in ("rgb", "bgr"), "ingest.colour", self.colour, "rgb or bgr")
+        require(self.images in ("png", "jpeg"), "ingest.images", self.images, "png or jpeg")
 
 
 @dataclass(frozen=True)
