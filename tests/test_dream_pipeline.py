@@ -14,8 +14,8 @@ from omegaconf import DictConfig
 
 from edream import config, pipeline
 from edream.core.errors import EdreamError
-from edream.record import RecordConfig, record
 from edream.reality.look import Look
+from edream.record import RecordConfig, record
 from tests.rendering import pan_tilt
 
 SMALL = [
@@ -25,6 +25,7 @@ SMALL = [
     "render.model=published",
     "dream.denoiser.options={widths: [16, 24], heads: 2}",
     "dream.frames=6",
+    "dream.train_frames=4",
     "dream.overlap=2",
     "dream.batch=2",
     "dream.train.steps=8",
@@ -101,7 +102,11 @@ def test_a_training_that_is_killed_goes_on_and_gives_the_same_weights(made, reco
     command += [f"runs={runs}", "seed=1", *words, *SMALL]
     killed = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True, env=os.environ)
     until = time.monotonic() + 100
-    while not list(runs.glob("**/dream-0000000/000000/manifest.json")) and killed.poll() is None and time.monotonic() < until:
+    while (
+        not list((runs / "dream").glob(".work-*/dream-0000000/000000/manifest.json"))
+        and killed.poll() is None
+        and time.monotonic() < until
+    ):
         time.sleep(0.02)
     os.killpg(killed.pid, signal.SIGKILL)
     killed.wait()

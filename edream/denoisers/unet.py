@@ -12,7 +12,7 @@ from torch.utils.checkpoint import checkpoint
 from edream.core.errors import EdreamError, unknown_name
 from edream.learn.denoiser import Denoiser, FittedDenoiser, Shown, State
 
-WINDOW = 16  # frames that attention in time sees, its own included
+WINDOW = 8  # frames that attention in time sees, its own included
 
 
 class FrameBlock(nn.Module):

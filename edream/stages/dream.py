@@ -15,7 +15,10 @@ from edream.learn.codec import Codec, reconstruction_psnr
 from edream.learn.determinism import deterministic
 from edream.learn.training import AVERAGE, State, new_state, part, train
 from edream.vision.clips import STORED, Scenes, clip_of, starts
-from edream.vision.trained import CODEC, file_of
+from edream.vision.dreamer import DreamModel
+from edream.vision.grain import Grain, measured_grain
+from edream.vision.judging import drawn
+from edream.vision.trained import CODEC, file_of, loaded
 from edream.vision.variants import Batches, DreamOptions, Variant, device_of, new_model, variants
 
 
@@ -33,13 +36,15 @@ def run(inputs: Mapping[str, Artifact], config: DreamConfig, work: Work) -> Bund
     scenes = Scenes.gather(layered_images(inputs["condition"], STORED), work.folder("images"), about["held"])
     chosen = variants(options, tuple(about["object_sources"]))
     bundle: dict[str, Any] = {}
+    grains: dict[str, tuple[float, ...]] = {}
     losses: dict[str, list[float]] = {}
     with deterministic():
         codec, codec_losses, codec_psnr = _codec(options, chosen[0], scenes, config.seed, work)
         for variant in chosen:
             state, losses[variant.name] = _trained(options, variant, scenes, codec, config.seed, work)
-            weights = {name: value.numpy() for name, value in part(state, AVERAGE).items()}
-            bundle[file_of(variant.name)] = weights
+            bundle[file_of(variant.name)] = {name: value.numpy() for name, value in part(state, AVERAGE).items()}
+            model = loaded(bundle | ({CODEC: codec} if codec else {}), options, variant, config.seed)
+            grains[variant.name] = _missing_grain(model, variant, scenes, options, Grain(tuple(about["grain"])), config.seed).levels
     if codec:
         bundle[CODEC] = codec
     size = sum(array.size for array in bundle[file_of(chosen[0].name)].values())
@@ -51,7 +56,7 @@ def run(inputs: Mapping[str, Artifact], config: DreamConfig, work: Work) -> Bund
         "codec_psnr": codec_psnr,
         "variants": [variant.name for variant in chosen],
     }
-    return bundle | {"summary.json": summary, "losses.json": {"codec": codec_losses, **losses}}
+    return bundle | {"summary.json": summary, "losses.json": {"codec": codec_losses, **losses}, "grain.json": grains}
 
 
 def _codec(
@@ -103,6 +108,14 @@ def _trained(
         losses += before["losses.json"]
     assert before is not None
     return before["state.safetensors"], losses
+
+
+def _missing_grain(model: DreamModel, variant: Variant, scenes: Scenes, options: DreamOptions, camera: Grain, seed: int) -> Grain:
+    """The camera's noise less what the model's own images have of it, on a few training clips."""
+    picked = starts(scenes, options.frames, False, options.frames)
+    some = [picked[i] for i in np.unique(np.linspace(0, len(picked) - 1, 8).astype(int))]
+    own = measured_grain(drawn(model, scenes, some, options.frames, next(iter(variant.sources)), seed, None))
+    return camera.less(own)
 
 
 def sources(config: DreamConfig) -> Mapping[str, Source]:

@@ -61,11 +61,12 @@ class Bench:
     frames: int
     seed: int
     sources: tuple[str, ...]
-    grain: Grain | None
+    grains: Mapping[str, Grain]
     steps: tuple[int, ...] = field(default=())
 
-    def drawn(self, name: str, source: str, grain: Grain | None, steps: int | None = None) -> Clips:
-        """Clips of one model."""
+    def drawn(self, name: str, source: str, grainy: bool, steps: int | None = None) -> Clips:
+        """Clips of one model, with the camera's noise put back or not."""
+        grain = self.grains.get(name) if grainy else None
         return drawn(self.models[name], self.scenes, self.picked, self.frames, source, self.seed, grain, steps)
 
 
@@ -77,8 +78,8 @@ def run(inputs: Mapping[str, Artifact], config: ScoreConfig, work: Work) -> Bund
     real, where = real_clips(scenes, picked, options.frames), regions(scenes, picked, options.frames)
     models = {v.name: loaded(inputs["dream"], options, v, config.seed) for v in variants(options, tuple(about["object_sources"]))}
     sources = tuple(about["object_sources"]) if options.objects else ("none",)
-    grain = Grain(tuple(about["grain"])) if asked.grain else None
-    bench = Bench(models, scenes, picked, options.frames, config.seed, sources, grain, asked.steps)
+    grains = {name: Grain(tuple(levels)) for name, levels in inputs["dream"]["grain.json"].items()} if asked.grain else {}
+    bench = Bench(models, scenes, picked, options.frames, config.seed, sources, grains, asked.steps)
     names = asked.metrics or catalog.names("metrics")
     clips: dict[str, Clips] = {}
     table: list[dict[str, Any]] = []
@@ -115,20 +116,20 @@ def _rows(bench: Bench) -> Iterator[Row]:
     for source in dict.fromkeys([*bench.sources, "none"]):
         yield f"composite {source}", lambda source=source: composites(bench.scenes, bench.picked, bench.frames, source)
     for source in bench.sources:
-        yield f"{DREAM} {source}", lambda source=source: bench.drawn(DREAM, source, bench.grain)
-    if bench.grain is not None:
-        yield f"{DREAM} {first} without grain", lambda: bench.drawn(DREAM, first, None)
+        yield f"{DREAM} {source}", lambda source=source: bench.drawn(DREAM, source, True)
+    if bench.grains:
+        yield f"{DREAM} {first} without grain", lambda: bench.drawn(DREAM, first, False)
     usual = bench.models[DREAM].objective.steps
     for steps in bench.steps:
         if steps != usual:
-            yield f"{DREAM} {first} in {steps} steps", lambda steps=steps: bench.drawn(DREAM, first, bench.grain, steps)
+            yield f"{DREAM} {first} in {steps} steps", lambda steps=steps: bench.drawn(DREAM, first, True, steps)
     if REGRESSION in bench.models:
         for source in bench.sources:
-            yield f"{REGRESSION} {source}", lambda source=source: bench.drawn(REGRESSION, source, None)
-        if bench.grain is not None:
-            yield f"{REGRESSION} {first} with grain", lambda: bench.drawn(REGRESSION, first, bench.grain)
+            yield f"{REGRESSION} {source}", lambda source=source: bench.drawn(REGRESSION, source, False)
+        if bench.grains:
+            yield f"{REGRESSION} {first} with grain", lambda: bench.drawn(REGRESSION, first, True)
     if WITHOUT in bench.models:
-        yield WITHOUT, lambda: bench.drawn(WITHOUT, "none", bench.grain)
+        yield WITHOUT, lambda: bench.drawn(WITHOUT, "none", True)
 
 
 def _long(model: DreamModel, scenes: Scenes, options: DreamOptions, source: str, seed: int, frames: int) -> dict[str, Any]:

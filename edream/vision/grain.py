@@ -24,6 +24,10 @@ class Grain:
         centres = (np.arange(BINS) + 0.5) * 256 / BINS
         return np.interp(values, centres, self.levels)
 
+    def less(self, other: "Grain") -> "Grain":
+        """What is to be added to images that already have the other's noise: the root of the difference of variances."""
+        return Grain(tuple(float(np.sqrt(max(a * a - b * b, 0.0))) for a, b in zip(self.levels, other.levels, strict=True)))
+
 
 def measured_grain(footage: Iterable[UInt8[np.ndarray, "T H W 3"]]) -> Grain:
     """Noise of still pixels, from the second difference of three successive images: Var(a - 2 b + c) = 6 Var.

@@ -1,6 +1,6 @@
 """How good dreamed video is: metrics by region, the robot's silhouette, seams and drift of long video."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np

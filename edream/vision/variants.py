@@ -24,6 +24,7 @@ class DreamOptions:
     train: Schedule = field(default_factory=Schedule)
     codec_steps: int = 0
     frames: int = 16
+    train_frames: int = 8
     batch: int = 4
     checkpoint: int = 100
     known: float = 0.3
@@ -37,9 +38,10 @@ class DreamOptions:
     processes: int = 1
 
     def __post_init__(self) -> None:
-        if self.frames < 2 or self.batch < 1 or self.checkpoint < 1 or not 0 <= self.overlap < self.frames:
+        shortest = min(self.frames, self.train_frames)
+        if shortest < 2 or self.batch < 1 or self.checkpoint < 1 or not 0 <= self.overlap < shortest:
             raise EdreamError(
-                f"dream has frames {self.frames}, batch {self.batch}, checkpoint {self.checkpoint}, overlap {self.overlap}; expected at "
+                f"dream has frames {shortest}, batch {self.batch}, checkpoint {self.checkpoint}, overlap {self.overlap}; expected at "
                 "least 2, 1, 1 and an overlap below the frames."
             )
         for name, weight in self.sources.items():
@@ -101,18 +103,20 @@ class Batches:
     def at(self, step: int) -> tuple[Clip, torch.Tensor, torch.Generator]:
         """Clips, which of their frames are known, and a generator for the noise."""
         rng = np.random.default_rng((self.seed, step, self.rank))
-        long = [n for n, size in enumerate(self.scenes.lengths()) if not self.scenes.held[n] and size >= self.options.frames]
+        long = [n for n, size in enumerate(self.scenes.lengths()) if not self.scenes.held[n] and size >= self.options.train_frames]
         if not long:
-            raise EdreamError(f"No training episode has {self.options.frames} images; lower dream.frames, or raise render.rate.")
+            raise EdreamError(
+                f"No training episode has {self.options.train_frames} images; lower dream.train_frames, or raise render.rate."
+            )
         names, weights = list(self.variant.sources), np.array(list(self.variant.sources.values()))
         count = max(1, self.options.batch // self.ranks)
         picked = []
         for _ in range(count):
             number = long[int(rng.integers(len(long)))]
-            first = int(rng.integers(self.scenes.lengths()[number] - self.options.frames + 1))
+            first = int(rng.integers(self.scenes.lengths()[number] - self.options.train_frames + 1))
             picked.append((number, first, str(rng.choice(names, p=weights / weights.sum()))))
-        clip = clip_of(self.scenes, picked, self.options.frames, self.options.jitter, rng)
-        known = np.zeros((count, self.options.frames), bool)
+        clip = clip_of(self.scenes, picked, self.options.train_frames, self.options.jitter, rng)
+        known = np.zeros((count, self.options.train_frames), bool)
         for row in np.flatnonzero(rng.random(count) < self.options.known):
             known[row, : int(rng.integers(1, max(2, self.options.overlap + 1)))] = True
         chance = torch.Generator().manual_seed(int(rng.integers(2**62)))

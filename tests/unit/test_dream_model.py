@@ -23,6 +23,7 @@ TINY = DreamOptions(
     objective=Part("bridge", {"noise": 0.1}),
     train=Schedule(steps=60, rate=4e-3, warmup=5, average=0.9),
     frames=6,
+    train_frames=6,
     batch=2,
     overlap=2,
 )
