@@ -98,7 +98,8 @@ def diagnose(overrides: Overrides = None, conf: Conf = None, json: Json = False)
 
 @_command("score")
 def dream(overrides: Overrides = None, conf: Conf = None, json: Json = False) -> None:
-    """Train a model that turns renderings of the calibrated simulator into video like the recordings', and judge it on held-out episodes.
+    """Train a model that turns renderings of the calibrated simulator into video like the recordings', and judge it on held-out
+    episodes.
 
     Example: `edream dream robot.mjcf=robot.xml data=recordings/ camera.file=cameras.json seed=3`
     """

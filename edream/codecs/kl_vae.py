@@ -35,9 +35,9 @@ class Autoencoder(FittedCodec):
 class KlVae(Codec):
     """A KL VAE. Options for a new one: `widths` at each resolution (the factor is 2^(n-1)), `latent` channels.
 
-    A small VAE that was trained for a minute capped PSNR at 25 dB in our measurements, so its own reconstruction is printed beside the model's
-    score. Weights: a folder as diffusers writes it (config.json and diffusion_pytorch_model.safetensors), such as the `vae` of Stable
-    Diffusion. The temporal decoder of SVD is not loaded; its encoder is the same.
+    A small VAE that was trained for a minute capped PSNR at 25 dB in our measurements, so its own reconstruction is printed beside
+    the model's score. Weights: a folder as diffusers writes it (config.json and diffusion_pytorch_model.safetensors), such as the
+    `vae` of Stable Diffusion. The temporal decoder of SVD is not loaded; its encoder is the same.
     """
 
     name = "kl_vae"

@@ -17,9 +17,11 @@ STEADY = (6.0, 127.0, 0.02)  # frames per second, motion bucket and noise on the
 
 
 class Svd(FittedDenoiser):
-    """`UNetSpatioTemporalConditionModel`. It looks at all frames at once, so it does not stream, and knows one noise level for all frames.
+    """`UNetSpatioTemporalConditionModel`. It looks at all frames at once, so it does not stream, and knows one noise level for all
+    frames.
 
-    SVD's cross-attention reads a CLIP embedding of the reference image. Here it is a learned constant; the reference enters as latents.
+    SVD's cross-attention reads a CLIP embedding of the reference image. Here it is a learned constant; the reference enters as
+    latents.
     """
 
     streams = False
@@ -38,9 +40,9 @@ class Svd(FittedDenoiser):
 
 
 class StableVideo(Denoiser):
-    """diffusers' spatio-temporal UNet. With `weights`, a folder as diffusers writes the `unet` of SVD or SVD-XT: its first layer keeps SVD's own
-    input channels and gets zeros for what is new. Use it with `dream.objective.kind=edm` and `spread: 1.0`, and the codec `kl_vae` with
-    SVD's VAE. Options for a new, small one: `widths` (multiples of 32), `layers`, `cross`, `heads`.
+    """diffusers' spatio-temporal UNet. With `weights`, a folder as diffusers writes the `unet` of SVD or SVD-XT: its first layer
+    keeps SVD's own input channels and gets zeros for what is new. Use it with `dream.objective.kind=edm` and `spread: 1.0`, and
+    the codec `kl_vae` with SVD's VAE. Options for a new, small one: `widths` (multiples of 32), `layers`, `cross`, `heads`.
     """
 
     name = "svd"

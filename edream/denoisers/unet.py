@@ -161,9 +161,9 @@ class UNet(FittedDenoiser):
 class SpaceTimeUNet(Denoiser):
     """The project's own network.
 
-    Options: `widths`, channels at each resolution (multiples of 8); `blocks` at each resolution; `heads` of attention at the lowest;
-    `save_memory`, gradient checkpointing. The same code serves for widths of 32 and of 320. Nothing in it looks ahead, so a clip of any
-    length, and one frame after the other, give the same images.
+    Options: `widths`, channels at each resolution (multiples of 8); `blocks` at each resolution; `heads` of attention at the
+    lowest; `save_memory`, gradient checkpointing. The same code serves for widths of 32 and of 320. Nothing in it looks ahead, so
+    a clip of any length, and one frame after the other, give the same images.
     """
 
     name = "unet"

@@ -1,4 +1,4 @@
-"""The one training loop: Adam, warm-up and cosine, a moving average of the weights, and a state that goes on exactly where it stopped."""
+"""The one training loop: Adam, warm-up and cosine, averaged weights, and a state that goes on exactly where it stopped."""
 
 import math
 from collections.abc import Callable, Mapping

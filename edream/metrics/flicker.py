@@ -7,7 +7,8 @@ from edream.core.metric import Clips, Metric
 
 
 class Flicker(Metric):
-    """Root mean square second difference in time, a - 2 b + c, of dreamed over that of real video, on pixels outside robot and object.
+    """Root mean square second difference in time, a - 2 b + c, of dreamed over that of real video, on pixels outside robot and
+    object.
 
     1 is as restless as the camera; below 1 is too smooth, above 1 flickers.
     """

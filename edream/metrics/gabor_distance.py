@@ -10,8 +10,8 @@ from edream.vision.features import energies
 class GaborDistance(Metric):
     """Root mean square difference of Gabor energies and blurred colours (`edream.vision.features`), relative to their mean size.
 
-    In the spirit of LPIPS, but with 18 filters that are written down rather than learned: compare it with itself only. It counts missing
-    texture and blur, which PSNR forgives.
+    In the spirit of LPIPS, but with 18 filters that are written down rather than learned: compare it with itself only. It counts
+    missing texture and blur, which PSNR forgives.
     """
 
     name = "gabor_distance"

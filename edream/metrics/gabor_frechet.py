@@ -13,9 +13,9 @@ class GaborFrechet(Metric):
 
         |m1 - m2|^2 + tr(C1 + C2 - 2 (C1 C2)^(1/2))
 
-    A sample is a quarter of a clip's image over its whole length; its 39 features are means and spreads of the Gabor energies, and the energy
-    of the second difference in time at three scales. Each feature is divided by its spread over the real clips. Not FVD: compare it with
-    itself only, on the same number of clips.
+    A sample is a quarter of a clip's image over its whole length; its 39 features are means and spreads of the Gabor energies, and
+    the energy of the second difference in time at three scales. Each feature is divided by its spread over the real clips. Not
+    FVD: compare it with itself only, on the same number of clips.
     """
 
     name = "gabor_frechet"

@@ -7,7 +7,7 @@ from edream.core.metric import Clips, Metric
 
 
 class Psnr(Metric):
-    """10 log10(255^2 / mean squared error), the mean taken over all pixels of all clips at once. Rewards the mean of what may be."""
+    """10 log10(255^2 / mean squared error), pooled over all pixels of all clips. Rewards the mean of what may be."""
 
     name = "psnr"
     summary = "peak signal-to-noise ratio, error pooled over all clips"

@@ -7,7 +7,7 @@ from edream.core.metric import Clips, Metric
 
 
 class Ssim(Metric):
-    """scikit-image's SSIM with Gaussian weights (sigma 1.5) on colour images; torchmetrics' differs by some 0.03 on the same data."""
+    """scikit-image's SSIM with Gaussian weights (sigma 1.5) on colour images; torchmetrics' differs by some 0.03."""
 
     name = "ssim"
     summary = "structural similarity (scikit-image, Gaussian weights), mean of the map over the region"

@@ -14,9 +14,9 @@ class Bridge(Objective):
 
         x_t = (1 - t) x + t (c + s e),    e ~ N(0, 1)
 
-    The network learns the residual on the composite, x - c, from x_t. Half of the draws are at t = 1, where a single step starts; the others
-    are uniform. Sampling follows the path back in 1 to 4 steps. Measured on a toy: loss weighting and time sampling are worth 1.4 dB,
-    starting at the composite rather than at noise 0.6 dB.
+    The network learns the residual on the composite, x - c, from x_t. Half of the draws are at t = 1, where a single step starts;
+    the others are uniform. Sampling follows the path back in 1 to 4 steps. Measured on a toy: loss weighting and time sampling are
+    worth 1.4 dB, starting at the composite rather than at noise 0.6 dB.
 
     Options: `noise` s (0.1).
     """

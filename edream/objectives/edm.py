@@ -1,6 +1,7 @@
 """Denoising in EDM's form, which is what Stable Video Diffusion's weights were trained with."""
 
 from collections.abc import Mapping
+from itertools import pairwise
 from typing import Any
 
 import torch
@@ -51,7 +52,7 @@ class Edm(Objective):
         ramp = [i / max(steps - 1, 1) for i in range(steps)]
         levels = [(high ** (1 / 7) + r * (low ** (1 / 7) - high ** (1 / 7))) ** 7 for r in ramp] + [0.0]
         x = noise * levels[0]
-        for now, then in zip(levels[:-1], levels[1:], strict=True):
+        for now, then in pairwise(levels):
             level = torch.full(x.shape[:2], now, device=x.device, dtype=x.dtype)
             if before is not None:
                 level[:, :count] = low

@@ -10,7 +10,7 @@ from edream.learn.objective import Network, Objective, counted_mean
 
 
 class Regression(Objective):
-    """The network learns the residual on the composite from the composite alone, by mean squared error. It gives the mean of what may be."""
+    """The network learns the residual on the composite from the composite alone, by mean squared error: the mean of what may be."""
 
     name = "regression"
     summary = "mean squared error from the composite, no noise, one step"

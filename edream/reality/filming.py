@@ -34,8 +34,8 @@ class Filming:
         return {CAMERA: Video(times, self.look.height, self.look.width, lambda: self.studio.frames(session))}
 
     def leave(self, names: Sequence[str], out: Path) -> dict[str, str]:
-        """Write what lies beside the data set: the camera as calibrated, the object with its tracked pose, an empty scene's picture,
-        and, sealed off under the name of truth, where the object was to be seen.
+        """Write what lies beside the data set: the camera as calibrated, the object with its tracked pose, an empty scene's
+        picture, and, sealed off under the name of truth, where the object was to be seen.
 
         Args:
             names: of the recordings, in order.

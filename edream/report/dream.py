@@ -61,7 +61,9 @@ def dream_page(made: Mapping[str, Mapping[str, Any]], robot: str) -> str:
             "plate", "The background plate", _plate_words(made["masks"]["summary.json"]), made["masks"]["plate.png"], False
         ),
         "losses": losses(made["dream"]["losses.json"]),
-        "stages": [made[name]["summary.json"]["sentence"] for name in ("camera", "render", "masks", "condition", "dream")],
+        "stages": [
+            made[name]["summary.json"]["sentence"] for name in ("camera", "render", "masks", "condition", "dream") if name in made
+        ],
         "recordings": about_recordings(made["ingest"]),
     }
     return page("dream.html.j2", content)

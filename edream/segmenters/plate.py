@@ -13,9 +13,9 @@ from edream.vision.plate import brightness, grown
 class Plate(Segmenter):
     """Difference from a plate.
 
-    A pixel is foreground where it differs from the plate by more than `difference` grey levels in some channel and is no shadow: a shadow
-    darkens (factor `shadow_low` to 1) and keeps the colour's direction within `shadow_angle`. Works without weights and offline. Measured:
-    IoU 0.93 on a synthetic scene; it fails where objects have the background's colour or the camera moves.
+    A pixel is foreground where it differs from the plate by more than `difference` grey levels in some channel and is no shadow: a
+    shadow darkens (factor `shadow_low` to 1) and keeps the colour's direction within `shadow_angle`. Works without weights and
+    offline. Measured: IoU 0.93 on a synthetic scene; it fails where objects have the background's colour or the camera moves.
     """
 
     name = "plate"

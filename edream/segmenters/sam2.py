@@ -14,7 +14,8 @@ MEAN, SPREAD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 
 
 class Sam2(Segmenter):
-    """Folders `grounding` and `sam2` under `masks.weights`, each as transformers writes them; option `prompt`: "a red cup. a plate."
+    """Folders `grounding` and `sam2` under `masks.weights`, each as transformers writes them; option `prompt`: "a red cup. a
+    plate."
 
     Where option `boxes` is given, as for `track`, Grounding DINO is not asked. SAM fails on robot arms, so the robot's mask is the
     simulator's. On a CPU a frame takes 7 to 12 s.

@@ -11,10 +11,12 @@ from edream.core.segmenter import Footage, Masks, Segmenter
 
 
 class Track(Segmenter):
-    """Option `boxes`: episode -> [x, y, width, height] in the first image, as shares 0..1 of its width and height; `all` for every episode.
+    """Option `boxes`: episode -> [x, y, width, height] in the first image, as shares 0..1 of its width and height; `all` for every
+    episode.
 
-    DIS optical flow (Kroeger et al., 2016) warps the last mask; GrabCut within a rim of it decides anew, with the simulated robot as sure
-    background. Measured: IoU 0.80 on a synthetic scene, less than the plate, but no plate is needed and objects may have stood still.
+    DIS optical flow (Kroeger et al., 2016) warps the last mask; GrabCut within a rim of it decides anew, with the simulated robot
+    as sure background. Measured: IoU 0.80 on a synthetic scene, less than the plate, but no plate is needed and objects may have
+    stood still.
     """
 
     name = "track"

@@ -3,7 +3,7 @@
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -30,9 +30,10 @@ class ConditionOptions:
 
 @dataclass(frozen=True)
 class ConditionRender:
-    """Of the rendering only its scene counts here."""
+    """Of the rendering only its scene counts here, and whether there is a robot."""
 
     scene: Path | None = None
+    model: str = "fit"
 
 
 @dataclass(frozen=True)
@@ -48,8 +49,10 @@ def run(inputs: Mapping[str, Artifact], config: ConditionConfig, work: Work) -> 
     """Join renderings, masks and recorded images into one sequence of layers an episode."""
     plate = decode_image(inputs["masks"]["plate.png"], "plate")
     scene = read_scene(config.render.scene)
-    (_, native), *_ = from_json(inputs["camera"]["cameras.json"], "cameras.json").items()
-    camera = native.resized(*plate.shape[:2])
+    camera = None
+    if "camera" in inputs:
+        (_, native), *_ = from_json(inputs["camera"]["cameras.json"], "cameras.json").items()
+        camera = native.resized(*plate.shape[:2])
     names = [episode.name for episode in layered_episodes(inputs["render"])]
     held = held_out(names, config.condition.holdout_fraction, config.seed)
     crop = _crop(inputs, scene, camera, held)
@@ -98,15 +101,15 @@ def _joined(inputs: Mapping[str, Artifact]) -> Iterator[tuple[Episode, dict[str,
         yield rendered, {**layers, "real": found["real"], "found": found["object"][..., 0]}
 
 
-def _poses(scene: Scene, episode: Episode, time: float, camera: Camera) -> np.ndarray | None:
+def _poses(scene: Scene, episode: Episode, time: float, camera: Camera | None) -> np.ndarray | None:
     """Corners of the one tracked object; None where there is none or several."""
     poses = scene.at(episode.name, time)
-    if len(scene.objects) != 1 or not poses:
+    if camera is None or len(scene.objects) != 1 or not poses:
         return None
     return corners_of(scene.objects[0], poses[scene.objects[0].name], camera)
 
 
-def _crop(inputs: Mapping[str, Artifact], scene: Scene, camera: Camera, held: Collection[str]) -> Crop | None:
+def _crop(inputs: Mapping[str, Artifact], scene: Scene, camera: Camera | None, held: Collection[str]) -> Crop | None:
     """The reference crop, from the episodes that are not held out."""
     images, masks, corners = [], [], []
     for episode, layers in _joined(inputs):
@@ -125,11 +128,12 @@ def _layers(
     plate: np.ndarray,
     crop: Crop | None,
     scene: Scene,
-    camera: Camera,
+    camera: Camera | None,
     reference: str,
 ) -> dict[str, np.ndarray]:
     """The stored layers: real, condition (robot and recorded object pixels before black), robot, masks (robot, object as segmented,
-    robot where the simulated object does not hide it), object_sim, object_crop, object_masks (simulated, crop), reference (one image)."""
+    robot where the simulated object does not hide it), object_sim, object_crop, object_masks (simulated, crop),
+    reference (one image)."""
     real, found = layers["real"], layers["found"]
     robot, alone, both = layers["robot"], layers["masks"][..., 0], layers["masks"][..., 2]
     crops, shares = np.zeros_like(real), np.zeros_like(found)
@@ -156,8 +160,13 @@ def _layers(
     }
 
 
+def needs(config: ConditionConfig) -> tuple[str, ...]:
+    """Renderings and masks, and the camera where a robot was rendered."""
+    return ("render", "masks") if config.render.model == "none" else ("camera", "render", "masks")
+
+
 def sources(config: ConditionConfig) -> Mapping[str, Source]:
     return {"scene": config.render.scene} if config.render.scene else {}
 
 
-ENTRY = Stage("condition", 1, ("camera", "render", "masks"), ConditionConfig, run, sources, ("numpy", "opencv-python-headless"))
+ENTRY = Stage("condition", 1, needs, ConditionConfig, run, sources, ("numpy", "opencv-python-headless"))

@@ -19,7 +19,7 @@ from edream.sim.camera import SimulationCamera, graphics
 from edream.sim.open_loop import open_loop
 from edream.sim.robot import RobotModel
 from edream.sim.rollout import whole
-from edream.vision.frames import positions_at, rows_at
+from edream.vision.frames import chosen_camera, positions_at, rows_at
 from edream.vision.scene_file import read_scene
 
 CAMERAS, SIMULATED = "cameras.json", "simulated.json"
@@ -29,7 +29,7 @@ CAMERAS, SIMULATED = "cameras.json", "simulated.json"
 class RenderOptions:
     """How the simulation is seen; see `conf/render/default.yaml` for each."""
 
-    model: Literal["fit", "published"] = "fit"
+    model: Literal["fit", "published", "none"] = "fit"
     states: Literal["replayed", "measured"] = "replayed"
     height: int = 64
     width: int = 64
@@ -54,7 +54,9 @@ class RenderConfig:
 
 
 def needs(config: RenderConfig) -> tuple[str, ...]:
-    """The recordings, their camera and, unless the published model is rendered, the calibrated one."""
+    """The recordings, their camera and, unless the published model is rendered, the calibrated one; for none the recordings."""
+    if config.render.model == "none":
+        return ("ingest",)
     replays = config.render.model == "fit" and config.render.states == "replayed"
     return ("ingest", "camera", "fit") if replays else ("ingest", "camera")
 
@@ -81,6 +83,8 @@ class Take:
 def run(inputs: Mapping[str, Artifact], config: RenderConfig, work: Work) -> Bundle:
     """Replay, then render the images nearest to a steady rate."""
     options, robot = config.render, config.robot.load()
+    if options.model == "none":
+        return _video_alone(inputs["ingest"], options, work)
     (name, native), *_ = from_json(inputs["camera"][CAMERAS], CAMERAS).items()
     camera = native.resized(options.height, options.width)
     scene = read_scene(options.scene)
@@ -106,6 +110,24 @@ def run(inputs: Mapping[str, Artifact], config: RenderConfig, work: Work) -> Bun
     sentence = f"{frames} images of {len(episodes)} episodes rendered; the robot covers {100 * share:.1f} % of them."
     summary = {"sentence": sentence, "camera": name, "frames": frames, "robot_share": share, "states": options.states} | error
     return bundle | {"summary.json": summary}
+
+
+def _video_alone(ingested: Artifact, options: RenderOptions, work: Work) -> Bundle:
+    """Recordings without a robot model: the same layers, with no robot in them."""
+    episodes = [one for one in stored_episodes(ingested) if one.videos]
+    name = chosen_camera(tuple(episodes[0].videos) if episodes else (), None)
+
+    def one(episode: Episode, rng: np.random.Generator) -> Bundle:
+        rows = rows_at(episode.videos[name], options.rate)
+        blank = np.zeros((len(rows), options.height, options.width, 3), np.uint8)
+        layers = {what: layer(episode.videos[name].times[rows], blank) for what in ("robot", "masks", "object")}
+        about = {"frames": len(rows), "robot_share": 0.0, "rows": rows.tolist()}
+        return layered_shard(episode, layers, work.folder("writing"), about)
+
+    bundle, told = layered_bundle(work.shards("episodes", episodes, one, parallel=False))
+    frames = sum(t["frames"] for t in told)
+    sentence = f"{frames} images of {len(episodes)} episodes, without a robot model."
+    return bundle | {"summary.json": {"sentence": sentence, "camera": name, "frames": frames, "states": "none"}}
 
 
 def _simulated(

@@ -37,12 +37,20 @@ class ReportedFit:
 
 
 @dataclass(frozen=True)
+class ReportedRender:
+    """Of the rendering it only counts whether there is a robot in it."""
+
+    model: str = "fit"
+
+
+@dataclass(frozen=True)
 class ReportConfig:
     """What report reads."""
 
     report: ReportOptions
     robot: ReportedRobot
     fit: ReportedFit
+    render: ReportedRender = ReportedRender()
 
 
 def needs(config: ReportConfig) -> tuple[str, ...]:
@@ -50,7 +58,7 @@ def needs(config: ReportConfig) -> tuple[str, ...]:
     if config.report.of == "diagnose":
         return ("diagnose", "ingest")
     if config.report.of == "dream":
-        return DREAM
+        return tuple(name for name in DREAM if name != "camera" or config.render.model != "none")
     entry = catalog.load("fitters", config.fit.method, Fitter)
     return ("fit", "ingest", "surrogate") if entry.needs_surrogate else ("fit", "ingest")
 

@@ -14,12 +14,24 @@ from edream.learn.determinism import deterministic
 from edream.vision.clips import STORED, Scenes, starts
 from edream.vision.dreamer import DreamModel
 from edream.vision.grain import Grain
-from edream.vision.judging import Clips, composites, drawn, long_video, plates, real_clips, regions, scores, silhouette_iou
+from edream.vision.judging import (
+    Clips,
+    composites,
+    drawn,
+    held_still,
+    long_video,
+    plates,
+    real_clips,
+    regions,
+    scores,
+    silhouette_iou,
+)
 from edream.vision.strips import film_strip, side_by_side
 from edream.vision.trained import loaded
 from edream.vision.variants import DREAM, REGRESSION, WITHOUT, DreamOptions, variants
 
 Row = tuple[str, Callable[[], Clips]]
+AFTER = " after "  # in the label of a row that is given the first images, and judged on the others
 
 
 @dataclass(frozen=True)
@@ -63,11 +75,12 @@ class Bench:
     sources: tuple[str, ...]
     grains: Mapping[str, Grain]
     steps: tuple[int, ...] = field(default=())
+    given: int = 0
 
-    def drawn(self, name: str, source: str, grainy: bool, steps: int | None = None) -> Clips:
+    def drawn(self, name: str, source: str, grainy: bool, steps: int | None = None, given: int = 0) -> Clips:
         """Clips of one model, with the camera's noise put back or not."""
         grain = self.grains.get(name) if grainy else None
-        return drawn(self.models[name], self.scenes, self.picked, self.frames, source, self.seed, grain, steps)
+        return drawn(self.models[name], self.scenes, self.picked, self.frames, source, self.seed, grain, steps, given)
 
 
 def run(inputs: Mapping[str, Artifact], config: ScoreConfig, work: Work) -> Bundle:
@@ -79,19 +92,24 @@ def run(inputs: Mapping[str, Artifact], config: ScoreConfig, work: Work) -> Bund
     models = {v.name: loaded(inputs["dream"], options, v, config.seed) for v in variants(options, tuple(about["object_sources"]))}
     sources = tuple(about["object_sources"]) if options.objects else ("none",)
     grains = {name: Grain(tuple(levels)) for name, levels in inputs["dream"]["grain.json"].items()} if asked.grain else {}
-    bench = Bench(models, scenes, picked, options.frames, config.seed, sources, grains, asked.steps)
+    bench = Bench(
+        models, scenes, picked, options.frames, config.seed, sources, grains, asked.steps, options.overlap if options.known else 0
+    )
+    later = {name: mask & (np.arange(options.frames) >= bench.given)[:, None, None] for name, mask in where.items()}
     names = asked.metrics or catalog.names("metrics")
     clips: dict[str, Clips] = {}
     table: list[dict[str, Any]] = []
 
-    def measured(make: Callable[[], Clips], rng: np.random.Generator) -> Bundle:
-        made = make()
-        found = scores(made, real, where, names) | {"silhouette_iou": {"robot": silhouette_iou(made, scenes, picked, where)}}
+    def measured(row: Row, rng: np.random.Generator) -> Bundle:
+        made = row[1]()
+        found = scores(made, real, later if AFTER in row[0] else where, names) | {
+            "silhouette_iou": {"robot": silhouette_iou(made, scenes, picked, where)}
+        }
         return {"found.json": found, "made.safetensors": {"made": made}}
 
     with deterministic():
         for label, make in _rows(bench):
-            kept = work.shards(label.replace(" ", "_"), [make], measured, parallel=False)[0]
+            kept = work.shards(label.replace(" ", "_"), [(label, make)], measured, parallel=False)[0]
             clips[label] = kept["made.safetensors"]["made"]
             table.append({"label": label, **kept["found.json"]})
         longest = _long(models[DREAM], scenes, options, sources[0], config.seed, asked.long)
@@ -123,6 +141,10 @@ def _rows(bench: Bench) -> Iterator[Row]:
     for steps in bench.steps:
         if steps != usual:
             yield f"{DREAM} {first} in {steps} steps", lambda steps=steps: bench.drawn(DREAM, first, True, steps)
+    if bench.given:
+        after = f"{AFTER}{bench.given} real images"
+        yield f"held still{after}", lambda: held_still(bench.scenes, bench.picked, bench.frames, bench.given)
+        yield f"{DREAM} {first}{after}", lambda: bench.drawn(DREAM, first, True, None, bench.given)
     if REGRESSION in bench.models:
         for source in bench.sources:
             yield f"{REGRESSION} {source}", lambda source=source: bench.drawn(REGRESSION, source, False)
@@ -144,7 +166,14 @@ def _pictures(clips: Mapping[str, Clips], sources: Sequence[str], count: int, ra
     main, real = f"{DREAM} {sources[0]}", clips["real"]
     error = np.square(clips[main].astype(np.float32) - real.astype(np.float32)).mean(axis=(1, 2, 3, 4))
     order = np.argsort(-error, kind="stable")
-    rows = [f"composite {sources[0]}", *(f"{DREAM} {s}" for s in sources), REGRESSION + f" {sources[0]}", WITHOUT, "real"]
+    rows = [
+        f"composite {sources[0]}",
+        *(f"{DREAM} {s}" for s in sources),
+        *(r for r in clips if AFTER in r),
+        REGRESSION + f" {sources[0]}",
+        WITHOUT,
+        "real",
+    ]
     rows = [label for label in rows if label in clips]
     found: dict[str, Any] = {}
     for rank, index in enumerate(order[:count]):

@@ -172,7 +172,7 @@ def starts(scenes: Scenes, frames: int, held: bool, step: int) -> list[tuple[int
     if not found:
         side = "held-out" if held else "training"
         raise EdreamError(
-            f"No {side} episode has {frames} images (the longest has {max(scenes.lengths(), default=0)}); lower dream.frames, or raise "
-            "render.rate."
+            f"No {side} episode has {frames} images (the longest has {max(scenes.lengths(), default=0)}); lower dream.frames, or "
+            "raise render.rate."
         )
     return found

@@ -78,7 +78,7 @@ class DreamModel(torch.nn.Module):
         return composite, Shown(torch.cat([2.0 * (composite - background), background], dim=2), 2.0 * torch.cat(masks, dim=2) - 1.0)
 
     def network(self, composite: Tensor, shown: Shown, caches: Iterator[State] | None = None) -> Network:
-        """The denoiser with its condition given; objectives that start from the composite show it what is left of the noisy clip."""
+        """The denoiser with its condition given; objectives that start from the composite show it the clip less the composite."""
         base = composite if self.objective.residual else torch.zeros_like(composite)
 
         def run(x: Tensor, t: Tensor) -> Tensor:

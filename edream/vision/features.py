@@ -12,7 +12,8 @@ ANGLES = 4
 
 
 def energies(image: UInt8[np.ndarray, "H W 3"]) -> Float[np.ndarray, "H W 18"]:
-    """Gabor energies of luma at three wavelengths and four angles, and of two opponent colours at three scales, compressed by a root.
+    """Gabor energies of luma at three wavelengths and four angles, and of two opponent colours at three scales, compressed by a
+    root.
 
     E = sqrt(even^2 + odd^2 + 1e-4) of the image in 0..1
     """

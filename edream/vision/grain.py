@@ -32,8 +32,8 @@ class Grain:
 def measured_grain(footage: Iterable[UInt8[np.ndarray, "T H W 3"]]) -> Grain:
     """Noise of still pixels, from the second difference of three successive images: Var(a - 2 b + c) = 6 Var.
 
-    What moves is left out: differences beyond four times the median absolute deviation within each brightness. The variance of rounding to
-    whole grey levels, 1/12, is taken off, for it comes back when dreamed images are rounded.
+    What moves is left out: differences beyond four times the median absolute deviation within each brightness. The variance of
+    rounding to whole grey levels, 1/12, is taken off, for it comes back when dreamed images are rounded.
     """
     found: list[list[np.ndarray]] = [[] for _ in range(BINS)]
     for real in footage:

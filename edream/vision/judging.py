@@ -45,21 +45,28 @@ def drawn(
     seed: int,
     grain: Grain | None,
     steps: int | None = None,
+    given: int = 0,
 ) -> Clips:
-    """Clips that the model makes of the conditions."""
+    """Clips that the model makes of the conditions, and of the first `given` recorded images where that is above 0."""
     device = next(model.denoiser.parameters()).device
     found = []
     for number, first in picked:
         clip = clip_of(scenes, [(number, first, source)], frames).to(device)
         h, w = clip.real.shape[-2:]
         noise = model.noise(1, frames, h, w, seed, first).to(device)
-        found.append(finished(model.sample(clip, noise, steps)[0], grain, seed, first))
+        found.append(finished(model.sample(clip, noise, steps, clip.real[:, :given] if given else None)[0], grain, seed, first))
     return np.stack(found)
 
 
 def composites(scenes: Scenes, picked: Sequence[tuple[int, int]], frames: int, source: str) -> Clips:
     """The conditions themselves: robot and object pasted over the background."""
     return np.stack([finished(clip_of(scenes, [(n, f, source)], frames).composite[0], None, 0) for n, f in picked])
+
+
+def held_still(scenes: Scenes, picked: Sequence[tuple[int, int]], frames: int, given: int) -> Clips:
+    """The first `given` recorded images, then the last of them for ever."""
+    real = real_clips(scenes, picked, frames)
+    return real[:, np.minimum(np.arange(frames), given - 1)]
 
 
 def plates(scenes: Scenes, picked: Sequence[tuple[int, int]], frames: int) -> Clips:
@@ -85,8 +92,9 @@ def _still(background: Bool[np.ndarray, "N T H W"]) -> Bool[np.ndarray, "N T H W
 
 
 def silhouette_iou(made: Clips, scenes: Scenes, picked: Sequence[tuple[int, int]], where: Regions) -> float:
-    """Overlap of the robot that is to be seen with the simulated one: what differs from the background near the robot, not counting the
-    object. Shadows and parts of the background's colour keep it below 1 even for real video, whose own value is the measure."""
+    """Overlap of the robot that is to be seen with the simulated one: what differs from the background near the robot, not
+    counting the object. Shadows and parts of the background's colour keep it below 1 even for real video, whose own value
+    is the measure."""
     common = total = 0
     for clip, (number, first), thing in zip(made, picked, where["object"], strict=True):
         plate = np.asarray(scenes.references[number]).astype(np.float32)
@@ -112,8 +120,8 @@ def long_video(
     """A long video, chunk by chunk: how much it jumps where chunks meet, and how much worse its end is than its beginning.
 
     Returns:
-        `seam_ratio`: second difference in time at seams over that elsewhere (1: no seams), `drift_db`: PSNR of the first quarter minus that of
-        the last, less what the composite itself changes.
+        `seam_ratio`: second difference in time at seams over that elsewhere (1: no seams), `drift_db`: PSNR of the first quarter
+        minus that of the last, less what the composite itself changes.
     """
     size = scenes.lengths()[number]
     rows = to_and_fro(size, frames)

@@ -63,8 +63,8 @@ def moved(
 ) -> tuple[UInt8[np.ndarray, "H W 3"], UInt8[np.ndarray, "H W"]]:
     """The crop where the object is now: colour, and its share of each pixel, 0..255.
 
-    With poses, an affine map takes the corners of the bounding box to where they are now. Without, the crop is shifted and scaled onto
-    the place and size of the recorded mask: its pixels are not the target's, but its place is.
+    With poses, an affine map takes the corners of the bounding box to where they are now. Without, the crop is shifted and scaled
+    onto the place and size of the recorded mask: its pixels are not the target's, but its place is.
     """
     h, w = crop.mask.shape
     nothing = np.zeros((h, w, 3), np.uint8), np.zeros((h, w), np.uint8)

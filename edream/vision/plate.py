@@ -13,8 +13,9 @@ def plate_of(
 ) -> UInt8[np.ndarray, "H W 3"]:
     """Median over images of many episodes in which the simulated robot does not hide the pixel.
 
-    A median over one episode would keep an object that moves slowly; over many episodes each place is free most of the time. Images are first
-    brought to one brightness, since the light wanders. Pixels that the robot always hides (its base) are taken as they are.
+    A median over one episode would keep an object that moves slowly; over many episodes each place is free most of the time.
+    Images are first brought to one brightness, since the light wanders. Pixels that the robot always hides (its base) are taken as
+    they are.
 
     Args:
         footage: images and the robot's share of each pixel, 0..255, an episode at a time.

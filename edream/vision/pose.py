@@ -73,7 +73,8 @@ def read_marks(path: Path) -> list[Mark]:
 def fit_to_marks(robot: RobotModel, episodes: Sequence[Episode], name: str, marks: Sequence[Mark]) -> tuple[Camera, dict[str, Any]]:
     """Pinhole pose and focal length that put the robot's points where they were marked, and the error that is left [pixel].
 
-    The pose starts from a PnP solution for each of several focal lengths (OpenCV, SQPnP), then least squares refines all seven numbers.
+    The pose starts from a PnP solution for each of several focal lengths (OpenCV, SQPnP), then least squares refines all seven
+    numbers.
 
     Raises:
         EdreamError: fewer than six marks, an unknown episode or point, or no pose explains them.
@@ -131,8 +132,8 @@ def fit_to_silhouettes(
 ) -> tuple[Camera, dict[str, Any]]:
     """Pinhole pose and focal length under which the robot covers what moved in the images, by CMA-ES from several sides.
 
-    What moved is the difference from a median over all frames; the loss is one minus the soft overlap of what moved with the part of the
-    rendered robot that moved, both blurred at first so that silhouettes attract each other from afar.
+    What moved is the difference from a median over all frames; the loss is one minus the soft overlap of what moved with the part
+    of the rendered robot that moved, both blurred at first so that silhouettes attract each other from afar.
 
     Args:
         frames: images that are compared.
@@ -244,7 +245,7 @@ class _Silhouettes:
         return np.stack([self.eye.mask(stance) for stance in self.stances]).astype(np.float32) / 255.0
 
     def moving(self, masks: np.ndarray) -> np.ndarray:
-        """Where the rendered robot differs from what a median over the frames would hold: it is there and seldom is, or the reverse."""
+        """Where the rendered robot differs from a median over the frames: it is there and seldom is, or the reverse."""
         return np.abs(masks - np.median(masks, axis=0))
 
     def loss(self, x: np.ndarray, blur: float) -> float:

@@ -41,8 +41,8 @@ class DreamOptions:
         shortest = min(self.frames, self.train_frames)
         if shortest < 2 or self.batch < 1 or self.checkpoint < 1 or not 0 <= self.overlap < shortest:
             raise EdreamError(
-                f"dream has frames {shortest}, batch {self.batch}, checkpoint {self.checkpoint}, overlap {self.overlap}; expected at "
-                "least 2, 1, 1 and an overlap below the frames."
+                f"dream has frames {shortest}, batch {self.batch}, checkpoint {self.checkpoint}, overlap {self.overlap}; expected "
+                "at least 2, 1, 1 and an overlap below the frames."
             )
         for name, weight in self.sources.items():
             if name not in SOURCES or weight < 0:
