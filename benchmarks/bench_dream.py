@@ -1,6 +1,6 @@
 """How fast dreaming is: seconds a clip of 16 frames, milliseconds a streamed frame, seconds a training step.
 
-Speed does not depend on what weights were learned, so a new model is timed: python -m benchmarks.bench_dream [--conf full] [NAME=VALUE ...]
+Speed does not depend on what was learned, so a new model is timed: python -m benchmarks.bench_dream [--conf full] [NAME=VALUE ...]
 """
 
 import argparse

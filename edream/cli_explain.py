@@ -14,7 +14,10 @@ from typing import Any
 from edream import catalog, cli_show, executor
 from edream.core.errors import unknown_name
 
-PACKAGES = ("mujoco", "numpy", "scipy", "torch", "pyarrow", "h5py", "av", "mcap", "hydra-core", "safetensors", "cma", "diffusers", "scikit-image")
+PACKAGES = (
+    *("mujoco", "numpy", "scipy", "torch", "pyarrow", "h5py", "av", "mcap", "hydra-core", "safetensors", "cma"),
+    *("diffusers", "scikit-image"),
+)
 RENDER = """
 import mujoco, OpenGL.GL as gl
 context = mujoco.GLContext(64, 64); context.make_current()

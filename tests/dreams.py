@@ -8,7 +8,7 @@ from edream.vision.clips import Scenes
 
 
 def small_scenes(folder: Path, size: int = 32, frames: int = 12, episodes: int = 3) -> Scenes:
-    """A grey robot and a bright object that move over a fixed background; real images are warmer and noisy; the last is held out."""
+    """A grey robot and a bright object that move over a fixed background; real images are warmer, noisy; the last is held out."""
     rng = np.random.default_rng(0)
     plate = rng.integers(90, 130, (size, size, 3)).astype(np.uint8)
     made = []

@@ -75,7 +75,6 @@ def train(
     first: int,
     last: int,
     schedule: Schedule,
-    reduce: Callable[[Tensor], None] | None = None,
 ) -> tuple[State, list[float]]:
     """Train from step `first` up to, not including, `last`.
 
@@ -85,7 +84,6 @@ def train(
         network: takes the state's weights and is trained in place.
         loss_of: loss of a step.
         state: as `new_state` or the last call gave it.
-        reduce: averages a tensor over processes, where there are several.
 
     Returns:
         The new state, and the loss of each step.
@@ -110,10 +108,6 @@ def train(
         with narrow:
             loss = loss_of(step)
         loss.backward()
-        if reduce is not None:
-            for tensor in network.parameters():
-                if tensor.grad is not None:
-                    reduce(tensor.grad)
         torch.nn.utils.clip_grad_norm_(network.parameters(), schedule.clip, foreach=False)
         adam.step()
         losses.append(float(loss.detach()))

@@ -35,7 +35,6 @@ class DreamOptions:
     baseline: bool = True
     ablation: bool = True
     device: str = "auto"
-    processes: int = 1
 
     def __post_init__(self) -> None:
         shortest = min(self.frames, self.train_frames)
@@ -87,29 +86,23 @@ def new_model(options: DreamOptions, variant: Variant, seed: int) -> DreamModel:
 
 @dataclass(frozen=True, eq=False)
 class Batches:
-    """The batch of each step, which follows from the seed and the step's number alone.
-
-    Attributes:
-        rank, ranks: which share of the batch, where several processes train.
-    """
+    """The batch of each step, which follows from the seed and the step's number alone."""
 
     scenes: Scenes
     options: DreamOptions
     variant: Variant
     seed: int
-    rank: int = 0
-    ranks: int = 1
 
     def at(self, step: int) -> tuple[Clip, torch.Tensor, torch.Generator]:
         """Clips, which of their frames are known, and a generator for the noise."""
-        rng = np.random.default_rng((self.seed, step, self.rank))
+        rng = np.random.default_rng((self.seed, step))
         long = [n for n, size in enumerate(self.scenes.lengths()) if not self.scenes.held[n] and size >= self.options.train_frames]
         if not long:
             raise EdreamError(
                 f"No training episode has {self.options.train_frames} images; lower dream.train_frames, or raise render.rate."
             )
         names, weights = list(self.variant.sources), np.array(list(self.variant.sources.values()))
-        count = max(1, self.options.batch // self.ranks)
+        count = self.options.batch
         picked = []
         for _ in range(count):
             number = long[int(rng.integers(len(long)))]

@@ -34,10 +34,10 @@ def one_thread() -> None:
     torch.set_num_threads(1)
 
 
-def trained(scenes, options: DreamOptions, cuts: tuple[int, ...], variant: int = 0, rank: int = 0) -> tuple[DreamModel, Mapping]:
+def trained(scenes, options: DreamOptions, cuts: tuple[int, ...], variant: int = 0) -> tuple[DreamModel, Mapping]:
     chosen = variants(options, ("real", "sim", "crop"))[variant]
     model = new_model(options, chosen, 0)
-    batches = Batches(scenes, options, chosen, 0, rank)
+    batches = Batches(scenes, options, chosen, 0)
 
     def loss(step: int) -> torch.Tensor:
         clip, known, chance = batches.at(step)
