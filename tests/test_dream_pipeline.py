@@ -32,7 +32,7 @@ SMALL = [
     "dream.checkpoint=4",
     "score.clips=6",
     "score.long=14",
-    "score.steps=[1]",
+    "score.steps=[2]",
 ]
 
 

@@ -23,7 +23,7 @@ class Bridge(Objective):
 
     name = "bridge"
     summary = "flow from the composite plus small noise to the real video, residual on the composite"
-    steps = 2
+    steps = 1
     residual = True
 
     def loss(

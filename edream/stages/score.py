@@ -38,8 +38,8 @@ AFTER = " after "  # in the label of a row that is given the first images, and j
 class ScoreOptions:
     """What is measured; see `conf/score/default.yaml` for each."""
 
-    clips: int = 64
-    steps: tuple[int, ...] = (1, 4)
+    clips: int = 32
+    steps: tuple[int, ...] = (2, 4)
     metrics: tuple[str, ...] = ()
     grain: bool = True
     strips: int = 4

@@ -24,7 +24,7 @@ class DreamOptions:
     train: Schedule = field(default_factory=Schedule)
     codec_steps: int = 0
     frames: int = 16
-    train_frames: int = 8
+    train_frames: int = 6
     batch: int = 4
     checkpoint: int = 100
     known: float = 0.3
