@@ -52,7 +52,7 @@ def run(inputs: Mapping[str, Artifact], config: ConditionConfig, work: Work) -> 
     camera = None
     if "camera" in inputs:
         (_, native), *_ = from_json(inputs["camera"]["cameras.json"], "cameras.json").items()
-        camera = native.resized(*plate.shape[:2])
+        camera = None if native.moves else native.resized(*plate.shape[:2])  # a moved crop needs one view
     names = [episode.name for episode in layered_episodes(inputs["render"])]
     held = held_out(names, config.condition.holdout_fraction, config.seed)
     crop = _crop(inputs, scene, camera, held)

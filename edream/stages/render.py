@@ -86,12 +86,21 @@ def run(inputs: Mapping[str, Artifact], config: RenderConfig, work: Work) -> Bun
     if options.model == "none":
         return _video_alone(inputs["ingest"], options, work)
     (name, native), *_ = from_json(inputs["camera"][CAMERAS], CAMERAS).items()
-    camera = native.resized(options.height, options.width)
+    own = inputs["camera"]["summary.json"]["source"] == "recording"  # each episode's own, for the camera may move
     scene = read_scene(options.scene)
     episodes = [one for one in stored_episodes(inputs["ingest"]) if name in one.videos]
     places, error = _simulated(inputs, robot, episodes, options, work)
     takes = [
-        Take(episode, places[i], rows_at(episode.videos[name], options.rate), name, robot, camera, scene, options)
+        Take(
+            episode,
+            places[i],
+            rows_at(episode.videos[name], options.rate),
+            name,
+            robot,
+            _camera(episode, name, native, own).resized(options.height, options.width),
+            scene,
+            options,
+        )
         for i, episode in enumerate(episodes)
     ]
 
@@ -112,10 +121,18 @@ def run(inputs: Mapping[str, Artifact], config: RenderConfig, work: Work) -> Bun
     return bundle | {"summary.json": summary}
 
 
+def _camera(episode: Episode, name: str, common: Camera, own: bool) -> Camera:
+    video = episode.videos[name]
+    if not own or video.intrinsics is None or video.extrinsics is None:
+        return common
+    return Camera(video.height, video.width, video.intrinsics, video.extrinsics)
+
+
 def _video_alone(ingested: Artifact, options: RenderOptions, work: Work) -> Bundle:
     """Recordings without a robot model: the same layers, with no robot in them."""
     episodes = [one for one in stored_episodes(ingested) if one.videos]
     name = chosen_camera(tuple(episodes[0].videos) if episodes else (), None)
+    episodes = [one for one in episodes if name in one.videos]
 
     def one(episode: Episode, rng: np.random.Generator) -> Bundle:
         rows = rows_at(episode.videos[name], options.rate)
