@@ -22,6 +22,7 @@ REFITTED = 8
 DRAWS = 4000
 SERIOUS_SHARE = 0.01
 SMALL, FAR = 10, 20.0  # at most so many numbers and a gap of so many floors: every refit starts from several places
+BRIEF = 120.0  # s of motion, up to which trying is cheap
 STRONG = 5.0  # probes
 LENGTHS = (1.0, 0.5, 0.2, 0.0)  # of a step
 
@@ -157,7 +158,8 @@ def try_best(
 
 def far_off(problem: Problem, fit: Fit) -> bool:
     """Whether the gap is so large that a linear test points anywhere, and the model so small that trying is cheap."""
-    return len(fit.unit) <= SMALL and fit.rms > FAR * problem.floor
+    length = sum(float(w.times[-1]) for w in fit.objective.windows)
+    return len(fit.unit) <= SMALL and length <= BRIEF and fit.rms > FAR * problem.floor
 
 
 def try_boldly(

@@ -1,6 +1,7 @@
 """Warm-started refits that reuse a Jacobian: cheap enough to try every serious candidate with all nuisance numbers free."""
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -9,7 +10,7 @@ from scipy.optimize import lsq_linear
 from edream.core.parameters import ParameterSpace
 from edream.sim.least_squares import jacobian, worth
 from edream.sim.objective import Objective, rms
-from edream.sim.rollout import Window, split
+from edream.sim.rollout import Window
 
 STRETCH = 1.5  # s
 LONGEST_STEP = 0.2  # of the unit box
@@ -109,7 +110,13 @@ def begin(objective: Objective, unit: Float[np.ndarray, "P"]) -> Fit:
 
 def stretches(fit: Fit) -> list[Window]:
     """The fit's motions cut into short stretches that restart at measured states: their errors have few false valleys."""
-    return [part for w in fit.objective.windows for part in split([w.episode], STRETCH, w.times[-1])]
+    return [part for window in fit.objective.windows for part in _cut(window)]
+
+
+def _cut(window: Window) -> list[Window]:
+    count = max(1, round(float(window.times[-1]) / STRETCH))
+    rows = np.searchsorted(window.times, np.linspace(0.0, window.times[-1], count + 1)) + window.first
+    return [Window(window.episode, int(a), int(b)) for a, b in pairwise(rows) if b > a]
 
 
 def descend(fit: Fit, fresh: Bool[np.ndarray, "P"] | None = None, iterations: int = 6, tolerance: float = 3e-3) -> Fit:

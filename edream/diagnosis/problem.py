@@ -17,6 +17,7 @@ from edream.sim.rollout import Window, whole
 from edream.sim.simulation import Placement, Scaling
 
 CREDIBLE_FACTOR = 2.5
+SHORTEST = 8.0  # s
 NOMINAL_SPREAD = math.log(1.35)
 
 
@@ -33,6 +34,7 @@ class Settings:
         ignored: effects that are left out.
         joints: joints whose error counts, or empty for all.
         until: seconds of each motion that are used, or None for all.
+        seconds: so many seconds of motion are fitted in all, one stretch of each motion; the proof replays whole motions.
         proof: share of the motions that is kept for the proof and never fitted.
         holdout: names or patterns of motions kept for the proof, instead of a share.
         stride: every how many measurements one counts.
@@ -51,6 +53,7 @@ class Settings:
     ignored: tuple[str, ...] = ()
     joints: tuple[str, ...] = ()
     until: float | None = None
+    seconds: float = 240.0
     proof: float = 0.25
     holdout: tuple[str, ...] = ()
     stride: int = 1
@@ -121,11 +124,25 @@ def prepare(robot: RobotModel, episodes: Sequence[Episode], settings: Settings) 
         robot=robot,
         settings=settings,
         groups=tuple(joint_groups(robot, settings.ties)),
-        fitted=tuple(w for w in windows if w.episode.name not in kept),
+        fitted=tuple(shortened([w for w in windows if w.episode.name not in kept], settings)),
         proof=tuple(w for w in windows if w.episode.name in kept),
         counted=counted,
         noise=measurement_noise([w.episode for w in windows]),
     )
+
+
+def shortened(windows: Sequence[Window], settings: Settings) -> list[Window]:
+    """A stretch of each motion, from a row drawn by seed, all of them together as long as the settings say, none under 8 s."""
+    share = max(SHORTEST, settings.seconds / max(len(windows), 1))
+    rng = np.random.default_rng([settings.seed, 5])
+    out = []
+    for window in windows:
+        times = window.times
+        latest = int(np.searchsorted(times, times[-1] - share, side="right")) - 1
+        first = int(rng.integers(0, latest + 1)) if latest > 0 else 0
+        last = int(np.searchsorted(times, times[first] + share, side="right")) - 1
+        out.append(window if times[-1] <= share else Window(window.episode, window.first + first, window.first + last))
+    return out
 
 
 def _proof_names(names: Sequence[str], settings: Settings) -> set[str]:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from edream.catalog import load
-from edream.config import compose, read
+from edream.config import compose
 from edream.core.errors import EdreamError
 from edream.core.format import Format, ReadOptions
 from edream.record import RecordConfig, read_motion, record
