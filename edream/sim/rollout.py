@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import mujoco
 import numpy as np
@@ -54,7 +55,7 @@ def split(episodes: Sequence[Episode], seconds: float, until: float | None = Non
         start, end = episode.times[0], episode.times[window.last]
         count = max(1, round((end - start) / seconds))
         rows = [_row_at(episode, start + (end - start) * i / count) for i in range(count)] + [window.last]
-        windows += [Window(episode, a, b) for a, b in zip(rows[:-1], rows[1:], strict=True) if b > a]
+        windows += [Window(episode, a, b) for a, b in pairwise(rows) if b > a]
     return windows
 
 
@@ -180,7 +181,7 @@ class _Replay:
         enabled = [_enabled(window, self.step) for window in self.windows]
         total = max(self.steps)
         cuts = sorted({*range(0, total, CHUNK), total, *(k for changes in enabled for k, _ in changes if 0 < k < total)})
-        for begin, end in zip(cuts[:-1], cuts[1:], strict=True):
+        for begin, end in pairwise(cuts):
             active = sum(steps > begin for steps in self.steps)
             self._gains.switch(enabled, begin, self.n)
             grid = np.concatenate([previous[: active * self.n], self._advance(begin, end, active)], axis=1)
