@@ -110,6 +110,11 @@ class SimulatedRobot:
     def with_placements(self, placements: Sequence[Placement]) -> "SimulatedRobot":
         return SimulatedRobot(self.robot, tuple(placements))
 
+    @cached_property
+    def _names(self) -> list[list[str]]:
+        """Each placement's parameters; asked for once, since effects look at many poses to find their bounds."""
+        return [[p.name for p in one.effect.parameters(self.robot.model, one.targets)] for one in self.placements]
+
     def quantities(
         self, values: Float[np.ndarray, "N P"], conditions: Sequence[Mapping[str, float]]
     ) -> list[dict[str, Float[np.ndarray, "N"]]]:
@@ -124,15 +129,15 @@ class SimulatedRobot:
         """
         columns = dict(zip(self.space.names, np.asarray(values, dtype=float).T, strict=True))
         out = []
-        for placement in self.placements:
+        for placement, names in zip(self.placements, self._names, strict=True):
             numbers = {}
-            for parameter in placement.effect.parameters(self.robot.model, placement.targets):
-                fixed = (placement.fixed or {}).get(parameter.name)
-                column = np.full(len(values), fixed) if fixed is not None else columns[placement.full_name(parameter.name)]
-                scaling = (placement.scaled or {}).get(parameter.name)
+            for name in names:
+                fixed = (placement.fixed or {}).get(name)
+                column = np.full(len(values), fixed) if fixed is not None else columns[placement.full_name(name)]
+                scaling = (placement.scaled or {}).get(name)
                 if scaling is not None:
                     column = column * _factors(scaling, conditions)
-                numbers[parameter.name] = column
+                numbers[name] = column
             out.append(numbers)
         return out
 
