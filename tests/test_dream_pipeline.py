@@ -132,3 +132,11 @@ def test_recordings_without_video_are_a_sentence(tmp_path: Path) -> None:
     cfg = config.compose(["robot=pan_tilt", f"data={out}", f"runs={tmp_path / 'runs'}"])
     with pytest.raises(EdreamError, match="no video"):
         pipeline.make("camera", cfg)
+
+
+def test_video_without_a_robot_model_becomes_conditions_too(recorded: Path, tmp_path: Path) -> None:
+    cfg = settings(
+        recorded, tmp_path / "runs", "render.model=none", "render.scene=null", "ingest.mapping.by=none", "masks.truth=null"
+    )
+    made = pipeline.make("condition", cfg)
+    assert made["summary.json"]["object_sources"] == ["real", "crop"] and made["summary.json"]["frames"] == 5 * 16
