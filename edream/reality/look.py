@@ -15,7 +15,7 @@ from edream.core.camera import Camera, looking_at, pinhole
 from edream.core.scene import ObjectTrack, SceneObject
 from edream.sim.robot import RobotModel
 
-THING = SceneObject("block", "box", (0.065, 0.046, 0.054), (0.75, 0.25, 0.2))
+THING = SceneObject("block", "box", (0.065, 0.046, 0.054), (0.5, 0.6, 0.8))
 SCALE = 2  # images are rendered so many times larger, then averaged
 
 
@@ -229,7 +229,7 @@ def _materials(spec: mujoco.MjSpec, rng: np.random.Generator) -> None:
         "pale": (flat, [0.93, 0.88, 0.76], [0.93, 0.88, 0.76], 0.03, [1.0, 1.0], 0.6),
         "dark": (flat, [0.16, 0.2, 0.27], [0.16, 0.2, 0.27], 0.03, [1.0, 1.0], 0.7),
         "mark": (checker, [0.85, 0.45, 0.1], [0.7, 0.3, 0.08], 0.0, [2.0, 2.0], 0.3),
-        "thing": (checker, [0.8, 0.16, 0.14], [0.93, 0.82, 0.25], 0.0, [0.5, 0.5], 0.2),
+        "thing": (checker, [0.15, 0.32, 0.75], [0.92, 0.93, 0.88], 0.0, [0.5, 0.5], 0.2),
     }
     for name, (builtin, one, two, marks, repeats, shine) in looks.items():
         kind = mujoco.mjtTexture.mjTEXTURE_CUBE if name in ("pale", "dark", "mark", "thing") else mujoco.mjtTexture.mjTEXTURE_2D
