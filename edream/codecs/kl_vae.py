@@ -56,9 +56,9 @@ class KlVae(Codec):
         if any(w % 32 for w in widths):
             raise EdreamError(f"dream.codec.options.widths is {list(widths)}; expected multiples of 32.")
         network = AutoencoderKL(
-            down_block_types=("DownEncoderBlock2D",) * len(widths),
-            up_block_types=("UpDecoderBlock2D",) * len(widths),
-            block_out_channels=widths,
+            down_block_types=("DownEncoderBlock2D",) * len(widths),  # type: ignore[arg-type]
+            up_block_types=("UpDecoderBlock2D",) * len(widths),  # type: ignore[arg-type]
+            block_out_channels=widths,  # type: ignore[arg-type]
             latent_channels=int(chosen["latent"]),
             layers_per_block=1,
             mid_block_add_attention=False,

@@ -74,7 +74,7 @@ class StableVideo(Denoiser):
             num_attention_heads=(int(chosen["heads"]),) * len(widths),
         )
         nn.init.zeros_(network.conv_out.weight)
-        nn.init.zeros_(network.conv_out.bias)
+        nn.init.zeros_(network.conv_out.bias)  # type: ignore[arg-type]
         return Svd(network, int(chosen["cross"]))
 
 

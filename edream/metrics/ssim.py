@@ -21,9 +21,10 @@ class Ssim(Metric):
         for one, other, where in zip(made, real, region, strict=True):
             for a, b, w in zip(one, other, where, strict=True):
                 if w.any():
-                    _, table = structural_similarity(
+                    found = structural_similarity(
                         a, b, channel_axis=2, gaussian_weights=True, use_sample_covariance=False, data_range=255, full=True
                     )
+                    table = np.asarray(found[1])
                     total, count = total + float(table[w].sum(dtype=np.float64)), count + int(w.sum()) * table.shape[2]
         return None if not count else total / count
 

@@ -31,7 +31,7 @@ class Sam2(Segmenter):
                 f"masks.segmenter=sam2 needs masks.weights=FOLDER with 'sam2' (and 'grounding') in it, not {weights}."
             )
         try:
-            import transformers
+            import transformers  # type: ignore[import-not-found]
         except ImportError as error:
             raise EdreamError("masks.segmenter=sam2 needs the package transformers; pip install 'edream[sam2]'.") from error
         boxes = options.get("boxes", {})
@@ -72,7 +72,7 @@ def _grounded(transformers: Any, folder: Path, image: np.ndarray, prompt: str) -
 def _followed(transformers: Any, folder: Path, images: np.ndarray, boxes: list[list[float]]) -> np.ndarray:
     """The session is built by hand, for the processors need torchvision, of which there is no build to rely on."""
     import torch
-    from transformers.models.sam2_video.modeling_sam2_video import Sam2VideoInferenceSession
+    from transformers.models.sam2_video.modeling_sam2_video import Sam2VideoInferenceSession  # type: ignore[import-not-found]
 
     device = "cuda" if torch.cuda.is_available() else "cpu"
     model = transformers.Sam2VideoModel.from_pretrained(folder, local_files_only=True, use_safetensors=True).eval().to(device)

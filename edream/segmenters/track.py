@@ -34,7 +34,7 @@ class Track(Segmenter):
         x, y, bw, bh = float(box[0]) * w, float(box[1]) * h, float(box[2]) * w, float(box[3]) * h
         mask = np.zeros((h, w), np.uint8)
         mask[int(y) : int(np.ceil(y + bh)), int(x) : int(np.ceil(x + bw))] = 1
-        flow = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+        flow = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
         found = np.zeros((count, h, w), np.uint8)
         grey = [cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) for image in footage.real]
         ys, xs = np.mgrid[0:h, 0:w].astype(np.float32)
@@ -63,11 +63,11 @@ def _cut(image: np.ndarray, mask: np.ndarray, robot: np.ndarray, first: bool) ->
     cv2.grabCut(
         np.ascontiguousarray(image[:, :, ::-1]),
         trimap,
-        None,
+        None,  # type: ignore[arg-type]
         np.zeros((1, 65)),
         np.zeros((1, 65)),
         2,
-        cv2.GC_INIT_WITH_MASK,  # type: ignore[call-overload]
+        cv2.GC_INIT_WITH_MASK,
     )
     return np.isin(trimap, (cv2.GC_FGD, cv2.GC_PR_FGD)).astype(np.uint8)
 

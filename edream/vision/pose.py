@@ -262,11 +262,11 @@ class _Silhouettes:
         return float((seen & target).sum() / max((seen | target).sum(), 1))
 
 
-def _extent(robot: RobotModel, stances: Sequence[dict[str, float]]) -> Float[np.ndarray, ""]:
+def _extent(robot: RobotModel, stances: Sequence[dict[str, float]]) -> float:
     model, data, far = robot.model, mujoco.MjData(robot.model), 0.05
     for stance in stances:
         for joint, value in stance.items():
             data.qpos[model.joint(joint).qposadr[0]] = value
         mujoco.mj_kinematics(model, data)
         far = max(far, float(np.linalg.norm(data.xpos[1:], axis=1).max()))
-    return np.float64(far)
+    return far
