@@ -169,4 +169,4 @@ def sources(config: ConditionConfig) -> Mapping[str, Source]:
     return {"scene": config.render.scene} if config.render.scene else {}
 
 
-ENTRY = Stage("condition", 2, needs, ConditionConfig, run, sources, ("numpy", "opencv-python-headless"))
+ENTRY = Stage("condition", 1, needs, ConditionConfig, run, sources, ("numpy", "opencv-python-headless"))

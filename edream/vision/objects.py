@@ -63,7 +63,7 @@ def moved(
 ) -> tuple[UInt8[np.ndarray, "H W 3"], UInt8[np.ndarray, "H W"]]:
     """The crop where the object is now: colour, and its share of each pixel, 0..255.
 
-    With poses, a shift and a scale take the corners of the bounding box to where they are now. Without, the crop is shifted and scaled
+    With poses, an affine map takes the corners of the bounding box to where they are now. Without, the crop is shifted and scaled
     onto the place and size of the recorded mask: its pixels are not the target's, but its place is.
     """
     h, w = crop.mask.shape
@@ -71,9 +71,8 @@ def moved(
     if crop.corners is not None and corners is not None:
         if not np.isfinite(corners).all():
             return nothing
-        # no turn and no shear: fitted to the corners of an object that turned about the vertical they squeeze it to a sliver
-        scale = float(np.sqrt(corners.var(axis=0).sum() / max(crop.corners.var(axis=0).sum(), 1e-9)))
-        matrix = np.column_stack([scale * np.eye(2), corners.mean(axis=0) - scale * crop.corners.mean(axis=0)])
+        source = np.concatenate([crop.corners, np.ones((8, 1))], axis=1)
+        matrix = np.linalg.lstsq(source, corners, rcond=None)[0].T
     elif mask is not None and mask.any():
         now, then = _place(mask), _place(crop.mask)
         scale = np.sqrt(now[2] / then[2])
