@@ -31,10 +31,10 @@ class PixelUnshuffle(Codec):
     """Nothing to learn and nothing lost: right for small images, where a small VAE would cap the score."""
 
     name = "pixel_unshuffle"
-    summary = "lossless; blocks of pixels become channels (option factor: 2, 4 or 8)"
+    summary = "lossless; blocks of pixels become channels (option factor: 1, 2, 4 or 8)"
 
     def build(self, options: Mapping[str, Any], weights: Path | None) -> Unshuffled:
-        factor = options.get("factor", 4)
+        factor = options.get("factor", 2)
         if factor not in (1, 2, 4, 8) or weights is not None:
             raise EdreamError(f"Codec 'pixel_unshuffle' has factor {factor!r}; expected 1, 2, 4 or 8, and no weights.")
         return Unshuffled(int(factor))
