@@ -24,7 +24,7 @@ from edream.vision.scene_file import read_scene
 class ConditionOptions:
     """How conditions are put together; see `conf/condition/default.yaml`."""
 
-    reference: Literal["episode", "plate"] = "episode"
+    reference: Literal["episode", "plate", "first"] = "episode"
     holdout_fraction: float = 0.2
 
 
@@ -145,7 +145,9 @@ def _layers(
             shares[i][hidden] = 0
     share = (alone[..., None] / 255.0) * (found[..., None] == 0)
     condition = np.round(robot * share + real * (found[..., None] > 0)).astype(np.uint8)
-    if reference == "episode":
+    if reference == "first":
+        plate = real[0]
+    elif reference == "episode":
         gain = 1.0 / brightness(real[:1].astype(np.float32), plate.astype(np.float32))[0]
         plate = np.clip(np.round(plate * gain), 0, 255).astype(np.uint8)
     return {

@@ -28,6 +28,7 @@ class MaskOptions:
 
     segmenter: str = "plate"
     plate: Path | None = None
+    each: bool = False
     truth: Path | None = None
     folder: Path | None = None
     weights: Path | None = None
@@ -60,7 +61,8 @@ def run(inputs: Mapping[str, Artifact], config: MasksConfig, work: Work) -> Bund
 
     def one(item: tuple[Episode, dict[str, np.ndarray]], rng: np.random.Generator) -> Bundle:
         episode, layers = item
-        footage = Footage(episode.name, layers["real"], plate, layers["masks"][..., 0], layers["masks"][..., 1])
+        own = plate_of([(layers["real"], layers["masks"][..., 0])], each=40) if options.each else plate
+        footage = Footage(episode.name, layers["real"], own, layers["masks"][..., 0], layers["masks"][..., 1])
         found = entry.masks(footage, extra)
         times = episode.videos["robot"].times
         about = {"share": float(found.mean()), "seen": float(found.any(axis=(1, 2)).mean())} | _judged(
