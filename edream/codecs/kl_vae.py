@@ -23,7 +23,9 @@ class Autoencoder(FittedCodec):
     def __init__(self, network: Any, factor: int, channels: int, scale: float | None) -> None:
         super().__init__()
         self.network, self.factor, self.channels = network, factor, channels
-        self.spread = nn.Buffer(torch.tensor(1.0 if scale is None else 1.0 / scale))
+        self.spread = nn.Buffer(
+            torch.tensor([1.0 if scale is None else 1.0 / scale])
+        )  # one number, not none: safetensors has no 0-d
 
     def encode(self, images: Tensor) -> Tensor:
         return self.network.encode(images).latent_dist.mean / self.spread
@@ -85,7 +87,7 @@ class KlVae(Codec):
             losses.append(float(loss.detach()))
         codec.requires_grad_(False).eval()
         with torch.no_grad():
-            codec.spread.copy_(torch.cat([codec.network.encode(p).latent_dist.mean for p in images[:256].split(32)]).std())
+            codec.spread.fill_(float(torch.cat([codec.network.encode(p).latent_dist.mean for p in images[:256].split(32)]).std()))
         return losses
 
 

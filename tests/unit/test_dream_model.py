@@ -167,3 +167,11 @@ def test_object_over_robot_over_background() -> None:
     half = torch.full((1, 1, 1, 2, 2), 0.5)
     assert torch.allclose(composed(0 * ones, ones, half, -ones, half), torch.full_like(ones, -0.25))
     assert torch.equal(images(np.array([[[255, 0, 0]]], np.uint8)), torch.tensor([[[1.0]], [[-1.0]], [[-1.0]]]))
+
+
+def test_every_weight_of_a_model_survives_the_disk(tmp_path: Path) -> None:
+    from edream import kinds
+
+    model = DreamModel.of(Part("kl_vae", {"widths": (32, 32)}), TINY.denoiser, TINY.objective, 0)
+    kinds.write(arrays(model), tmp_path / "all.safetensors")
+    fill(model, read_weights(tmp_path / "all.safetensors"), "all")
