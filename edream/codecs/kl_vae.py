@@ -25,7 +25,7 @@ class Autoencoder(FittedCodec):
         self.network, self.factor, self.channels = network, factor, channels
         self.spread = nn.Buffer(
             torch.tensor([1.0 if scale is None else 1.0 / scale])
-        )  # one number, not none: safetensors has no 0-d
+        )  # of one number: the store keeps no 0-d arrays
 
     def encode(self, images: Tensor) -> Tensor:
         return self.network.encode(images).latent_dist.mean / self.spread
