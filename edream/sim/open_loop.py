@@ -42,18 +42,31 @@ def load_hook(path: Path) -> ModuleType:
 
 
 def open_loop(
-    robot: RobotModel, windows: Sequence[Window], hook: Path | None = None, threads: int = 0
+    robot: RobotModel,
+    windows: Sequence[Window],
+    hook: Path | None = None,
+    threads: int = 0,
+    scaled: SimulatedRobot | None = None,
 ) -> list[Float[np.ndarray, "T J"]]:
     """Replay each window's commands, with the robot's hook file where it has one; positions at the measured times [rad or m].
 
+    Args:
+        robot: the robot.
+        windows: stretches to replay.
+        hook: its hook file.
+        threads: simulation threads; 0 for every core.
+        scaled: the robot with what the recordings' conditions multiply, where they do.
+
     Raises:
-        EdreamError: the hook cannot be loaded.
+        EdreamError: the hook cannot be loaded, or it knows no batches where conditions scale a parameter.
     """
     module = None if hook is None else load_hook(hook)
     if module is not None and not hasattr(module, "make_batch"):
+        if scaled:
+            raise EdreamError(f"Hook {hook} has no make_batch, which robot.scaled needs; hooks that edream writes have one.")
         return [plain_loop(robot, module.make, window) for window in windows]
     many = None if module is None else module.make_batch
-    return [one[0] for one in rollout(SimulatedRobot(robot, ()), np.zeros((1, 0)), windows, threads, many)]
+    return [one[0] for one in rollout(scaled or SimulatedRobot(robot, ()), np.zeros((1, 0)), windows, threads, many)]
 
 
 def plain_loop(robot: RobotModel, make: Callable[[mujoco.MjModel], Step], window: Window) -> Float[np.ndarray, "T J"]:

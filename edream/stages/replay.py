@@ -1,22 +1,24 @@
 """Replay: how far any MJCF is from any recordings when it is given their commands, open loop."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from edream import catalog
 from edream.calibration.errors import perfect_tracking, summary
-from edream.calibration.settings import RobotSettings
+from edream.calibration.settings import RobotSettings, ScaledBy
+from edream.core.effect import Effect
 from edream.core.episode import Episode
-from edream.core.errors import EdreamError
+from edream.core.errors import EdreamError, unknown_name
 from edream.core.stage import Artifact, Bundle, Source, Stage, Work
 from edream.ingest.stored import stored_episodes
 from edream.sim.open_loop import open_loop
 from edream.sim.robot import RobotModel
 from edream.sim.rollout import whole
-from edream.sim.simulation import SimulatedRobot
+from edream.sim.simulation import Placement, Scaling, SimulatedRobot
 
 UNSTABLE = 10.0  # rad; what a simulation that blew up counts as
 
@@ -31,10 +33,17 @@ class ReplayOptions:
 
 
 @dataclass(frozen=True)
+class ReplayedRobot(RobotSettings):
+    """The robot, and which of its numbers a recorded condition multiplies."""
+
+    scaled: Mapping[str, ScaledBy] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
 class ReplayConfig:
     """What replay reads."""
 
-    robot: RobotSettings
+    robot: ReplayedRobot
     replay: ReplayOptions
 
 
@@ -47,7 +56,8 @@ def run(inputs: Mapping[str, Artifact], config: ReplayConfig, work: Work) -> Bun
     """Replay every recording and score it."""
     options = config.replay
     episodes = list(stored_episodes(inputs["ingest"]))
-    found = replay(config.robot.load(), episodes, options.joints, options.until, options.hook)
+    scaled = {name: Scaling(one.condition, one.reference) for name, one in config.robot.scaled.items()}
+    found = replay(config.robot.load(), episodes, options.joints, options.until, options.hook, scaled=scaled)
     count = f"{len(episodes)} motions" if len(episodes) != 1 else "1 motion"
     sentence = (
         f"Open-loop replay of {count}: {found['rmse_rad']:.4g} rad; a robot that tracked perfectly would score "
@@ -63,6 +73,7 @@ def replay(
     until: float | None = None,
     hook: Path | None = None,
     threads: int = 0,
+    scaled: Mapping[str, Scaling] | None = None,
 ) -> dict[str, Any]:
     """Open-loop replay errors of a robot on recordings, each from its first measured state.
 
@@ -72,6 +83,7 @@ def replay(
         hook: Python file with `make(model)` returning `step(model, data)`, and where it has one, `make_batch(batch)`. It is code:
             it runs with all your rights. Neither configs nor recordings can name one without you.
         threads: simulation threads; 0 for every core.
+        scaled: parameter "effect.quantity" -> the recorded condition that multiplies what the MJCF has.
 
     Returns:
         `rmse_rad`, `mae_rad`, `translation_m`, `rotation_rad` (end effector, root mean square), `perfect_tracking_rmse_rad`;
@@ -85,7 +97,7 @@ def replay(
     if until is not None and until <= 0.0:
         raise EdreamError(f"replay.until is {until:g} s; expected a time above 0.")
     windows = whole(episodes, until)
-    positions = open_loop(robot, windows, hook, threads)
+    positions = open_loop(robot, windows, hook, threads, under_conditions(robot, scaled) if scaled else None)
     simulated = SimulatedRobot(robot, ())
     table = summary(simulated, positions, windows, counted)
     perfect = perfect_tracking(simulated, episodes, counted, until)
@@ -101,6 +113,25 @@ def replay(
         "joints": [name for name, count in zip(robot.joints, counted, strict=True) if count],
         "unstable": [w.episode.name for w, p in zip(windows, positions, strict=True) if not np.isfinite(p).all()],
     }
+
+
+def under_conditions(robot: RobotModel, scaled: Mapping[str, Scaling]) -> SimulatedRobot:
+    """The robot as its MJCF has it, with numbers such as `servo_gain.kp` multiplied by what is known of each recording.
+
+    Raises:
+        EdreamError: there is no such effect or quantity.
+    """
+    placements = []
+    for name in dict.fromkeys(key.partition(".")[0] for key in scaled):
+        effect = catalog.load("effects", name, Effect)
+        own = {key.partition(".")[2]: scaling for key, scaling in scaled.items() if key.partition(".")[0] == name}
+        for joint in robot.joints:
+            start = {parameter.name: parameter.start for parameter in effect.parameters(robot.model, (joint,))}
+            for quantity in own:
+                if quantity not in start:
+                    raise unknown_name(f"quantity of {name} for robot.scaled", quantity, start)
+            placements.append(Placement(effect, (joint,), scaled=own, fixed=start))
+    return SimulatedRobot(robot, tuple(placements))
 
 
 def _scores(errors: np.ndarray) -> dict[str, float]:

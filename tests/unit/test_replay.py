@@ -1,5 +1,6 @@
 """Open-loop replay of an emitted model gives the error that the fit saw, hook or no hook."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from edream.core.errors import EdreamError
 from edream.sim.emit import emit
 from edream.sim.robot import load_robot
 from edream.sim.rollout import rollout, whole
-from edream.sim.simulation import Placement, SimulatedRobot
+from edream.sim.simulation import Placement, Scaling, SimulatedRobot
 from edream.stages.replay import replay
 
 ROBOT = load_robot(Path(__file__).resolve().parents[2] / "edream" / "robots" / "pan_tilt.xml", site="ee")
@@ -99,3 +100,15 @@ def test_a_file_that_is_no_hook_ends_in_a_sentence(written: Path, tmp_path: Path
     (tmp_path / "broken.py").write_text("x = (\n")
     with pytest.raises(EdreamError, match="cannot be imported: SyntaxError"):
         replay(robot, episodes, hook=tmp_path / "broken.py")
+
+
+def test_a_recorded_gain_scales_the_replay() -> None:
+    gain = Placement(catalog.load("effects", "servo_gain", Effect), ("tilt",), scaled={"kp": Scaling("firmware", 100.0)})
+    weaker = SimulatedRobot(ROBOT, (gain,))
+    still = replace(moves("slow", 3.0), conditions={"firmware": 50.0})
+    moved = rollout(weaker, weaker.space.start()[None], whole([still]), threads=1)[0][0]
+    recorded = replace(still, position=moved)
+    with_gain = replay(ROBOT, [recorded], joints=["tilt"], threads=1, scaled={"servo_gain.kp": Scaling("firmware", 100.0)})
+    assert with_gain["rmse_rad"] < 1e-3 < 5e-3 < replay(ROBOT, [recorded], joints=["tilt"], threads=1)["rmse_rad"]
+    with pytest.raises(EdreamError, match="kq"):
+        replay(ROBOT, [recorded], scaled={"servo_gain.kq": Scaling("firmware", 100.0)})
