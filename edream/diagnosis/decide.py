@@ -20,6 +20,7 @@ from edream.sim.simulation import Placement
 FOLDS = 5
 REFITTED = 8
 DRAWS = 4000
+DISTINCT = 0.1  # of the floor squared, or of the error where that is larger
 SERIOUS_SHARE = 0.01
 SMALL, FAR = 10, 20.0  # at most so many numbers and a gap of so many floors: every refit starts from several places
 BRIEF = 120.0  # s of motion, up to which trying is cheap
@@ -301,11 +302,16 @@ def without(fit: Fit, candidate: Candidate) -> Fit:
     return Fit(smaller, fit.unit[keep], residual, fit.jacobian[:, keep], worth(smaller, residual))
 
 
-def rivals(trials: Sequence[Trial], winner: Trial, seed: int) -> list[tuple[Trial, bool]]:
-    """The other candidates of a round, and whether left-out motions can tell each from the winner (paired bootstrap)."""
+def rivals(problem: Problem, trials: Sequence[Trial], winner: Trial) -> list[tuple[Trial, bool]]:
+    """The other candidates of a round, and whether left-out motions can tell each from the winner.
+
+    They can where a paired bootstrap says so and the difference is more than two correct simulators may have between them.
+    """
     out = []
+    least = DISTINCT * max(problem.floor**2, float(winner.errors.mean()))
     for trial in trials:
         if trial.candidate != winner.candidate:
-            low, _ = bootstrap(trial.errors - winner.errors, seed)
-            out.append((trial, low > 0.0))
+            worse = trial.errors - winner.errors
+            low, _ = bootstrap(worse, problem.settings.seed)
+            out.append((trial, low > 0.0 and float(worse.mean()) > least))
     return out

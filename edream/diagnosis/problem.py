@@ -17,7 +17,7 @@ from edream.sim.rollout import Window, whole
 from edream.sim.simulation import Placement, Scaling
 
 CREDIBLE_FACTOR = 2.5
-SHORTEST = 8.0  # s
+SHORTEST = 4.0  # s
 NOMINAL_SPREAD = math.log(1.35)
 
 
@@ -132,7 +132,7 @@ def prepare(robot: RobotModel, episodes: Sequence[Episode], settings: Settings) 
 
 
 def shortened(windows: Sequence[Window], settings: Settings) -> list[Window]:
-    """A stretch of each motion, from a row drawn by seed, all of them together as long as the settings say, none under 8 s."""
+    """A stretch of each motion, from a row drawn by seed, all of them together as long as the settings say, none under 4 s."""
     share = max(SHORTEST, settings.seconds / max(len(windows), 1))
     rng = np.random.default_rng([settings.seed, 5])
     out = []

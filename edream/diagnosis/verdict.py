@@ -151,7 +151,7 @@ def _label(trial: Trial) -> str:
 
 def _named(problem: Problem, fit: Fit, trial: Trial, rounds: Sequence[Round]) -> Named:
     own = next(r for r in rounds if r.taken is trial)
-    others = rivals(own.trials, trial, problem.settings.seed)
+    others = rivals(problem, own.trials, trial)
     alike = tuple(
         other.candidate.label
         for other, told in others
