@@ -20,7 +20,7 @@ from edream.sim.simulation import Placement
 FOLDS = 5
 REFITTED = 8
 DRAWS = 4000
-DISTINCT = 0.1  # of the floor squared, or of the error where that is larger
+DISTINCT = 0.5  # of the floor squared, or of the error where that is larger
 SERIOUS_SHARE = 0.01
 SMALL, FAR = 10, 20.0  # at most so many numbers and a gap of so many floors: every refit starts from several places
 BRIEF = 120.0  # s of motion, up to which trying is cheap

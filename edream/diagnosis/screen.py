@@ -50,10 +50,10 @@ def screen(problem: Problem, fit: Fit, done: Callable[[int], object] = lambda n:
     base = Projection(np.vstack([fit.jacobian, pull]))
     residual = base.out(np.concatenate([fit.residual, away]))
     total = float(residual @ residual)
-    present = {(p.effect.name, p.targets) for p in fit.objective.simulated.placements}
+    present = fit.objective.simulated.placements
     first: list[Scored] = []
     for one in rounds(problem, library(problem)):
-        fresh = [c for c in one if (c.effect, c.targets) not in present]
+        fresh = [c for c in one if not acts_already(c, present)]
         if fresh and fits_beside(problem, fit, fresh):
             first += _probe_round(problem, fit, fresh, total)
         done(1)
@@ -61,10 +61,18 @@ def screen(problem: Problem, fit: Fit, done: Callable[[int], object] = lambda n:
     chosen = first[:FINALISTS]
     best_each = {s.candidate.effect: s for s in reversed(first) if s.share > 0.0}
     chosen += [s for s in best_each.values() if s not in chosen]
-    joined = [_joined(c, first) for c in tied(problem, [s.candidate for s in first if s.share > 0.002])]
+    groups = tied(problem, [s.candidate for s in first if s.share > 0.002])
+    joined = [_joined(c, first) for c in groups if not acts_already(c, present)]
     second = [again for s in (*chosen, *joined) if (again := confirm(problem, fit, s, base, total)) is not None]
     done(1)
     return sorted(second, key=lambda s: -s.share)
+
+
+def acts_already(candidate: Candidate, present: Sequence[Placement]) -> bool:
+    """Whether the model has the effect already where the candidate would put it."""
+    return any(
+        p.effect.name == candidate.effect and (not candidate.targets or set(p.targets) & set(candidate.targets)) for p in present
+    )
 
 
 def fits_beside(problem: Problem, fit: Fit, candidates: Sequence[Candidate]) -> bool:
