@@ -47,7 +47,7 @@ def _solid(mask: np.ndarray, smallest: int) -> np.ndarray:
     closed = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
     count, labels, stats, _ = cv2.connectedComponentsWithStats(closed, connectivity=8)
     large = np.array([False, *(stats[1:, cv2.CC_STAT_AREA] >= smallest)]) if count else np.zeros(1, bool)
-    return large[np.asarray(labels)]
+    return np.take(large, np.asarray(labels, dtype=np.intp))
 
 
 def _cut(image: np.ndarray, rough: np.ndarray, robot: np.ndarray) -> np.ndarray:

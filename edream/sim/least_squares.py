@@ -117,14 +117,14 @@ def solve(
     found = least_squares(
         function,
         inside,
-        derivative,
+        derivative,  # pyright: ignore[reportArgumentType] - scipy takes a function here
         bounds=(0.0, 1.0),
         method="trf",
         x_scale=0.1,
         max_nfev=iterations,
         ftol=tolerance,
         xtol=tolerance,
-        gtol=None,
+        gtol=None,  # pyright: ignore[reportArgumentType]
     )
     residual = data(found.x)
     slope = found.jac[: len(residual)] * scale
