@@ -123,4 +123,4 @@ def summary(found: Diagnosis, bundle: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-ENTRY = Stage("diagnose", 2, ("ingest",), DiagnoseConfig, run, sources, ("mujoco", "numpy", "scipy"))
+ENTRY = Stage("diagnose", 3, ("ingest",), DiagnoseConfig, run, sources, ("mujoco", "numpy", "scipy"))
