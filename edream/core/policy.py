@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Float, UInt8
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,20 +40,22 @@ class Outcome:
 class Conditions:
     """What a dream model is shown of one image of one camera.
 
+    A frame-by-frame dreamer takes them as `Render(composite, robot, composite, object)`.
+
     Attributes:
         composite: robot and object pixels as rendered, black elsewhere, (H, W, 3).
-        robot: whether a pixel shows the robot, (H, W).
-        object: whether a pixel shows an object of the task, (H, W).
+        robot: share of each pixel that the robot covers, where no object hides it, as 0..255, (H, W).
+        object: share of each pixel that the objects of the task cover, where the robot does not hide them, as 0..255, (H, W).
     """
 
     composite: UInt8[np.ndarray, "H W 3"]
-    robot: Bool[np.ndarray, "H W"]
-    object: Bool[np.ndarray, "H W"]
+    robot: UInt8[np.ndarray, "H W"]
+    object: UInt8[np.ndarray, "H W"]
 
 
 @dataclass(frozen=True)
 class StartNoise:
-    """How the beginning of a trial differs from what its start says, so that a policy without chance of its own does not do the same twice.
+    """How a trial begins otherwise than its start says, so that a policy without chance of its own does not do the same twice.
 
     Attributes:
         joints: standard deviation of the robot's resting pose [rad; a tenth of it in m for slides].
@@ -125,5 +127,5 @@ class World(ABC):
         """
         raise NotImplementedError(f"{type(self).__name__} has no conditions")
 
-    def close(self) -> None:
+    def close(self) -> None:  # noqa: B027 - a world without cameras holds nothing
         """Free the graphics that this world holds."""
