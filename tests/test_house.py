@@ -9,7 +9,7 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "edream"
 PLUMBING = {"catalog", "config", "store", "kinds", "executor", "work"}
-ENTRIES = {"effects", "formats", "fitters", "surrogates", "codecs", "denoisers", "objectives", "segmenters", "policies", "metrics"}
+ENTRIES = {"effects", "formats", "fitters", "surrogates", "codecs", "denoisers", "objectives", "segmenters", "policies", "metrics", "tasks"}
 METHODS = {"ingest", "calibration", "diagnosis", "vision"}  # what the stages of one job share
 SIDES = {"sim", "learn"}
 MAY_IMPORT = {
