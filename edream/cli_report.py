@@ -1,4 +1,4 @@
-"""The command that writes the newest report anew and shows it."""
+"""The command that shows the newest report, and writes it anew where it is missing."""
 
 import json as json_
 import webbrowser
@@ -8,12 +8,13 @@ from omegaconf import DictConfig, OmegaConf
 
 from edream import cli_show, pipeline
 from edream.core.errors import EdreamError
+from edream.store import Store, StoredArtifact
 
-REPORTED = ("fit", "diagnose")
+REPORTED = {"fit": "fit", "diagnose": "diagnose", "score": "dream"}  # stage -> what its page is about
 
 
 def report(cfg: DictConfig, open_it: bool, write: Callable[[str], object] | None) -> None:
-    """Make the report of the newest fit or diagnosis in the store, from what the store has.
+    """The report of the newest calibration, diagnosis or dreamed video in the store.
 
     Args:
         cfg: the composed config; of it only the store's place counts.
@@ -21,25 +22,48 @@ def report(cfg: DictConfig, open_it: bool, write: Callable[[str], object] | None
         write: prints the JSON object, or None to print for a person.
 
     Raises:
-        EdreamError: nothing was fitted or diagnosed yet.
+        EdreamError: nothing to report on was made yet.
     """
     store = pipeline.open_store(cfg)
-    newest = max(
-        (one for one in store.artifacts() if one.stage in REPORTED), key=lambda one: one.manifest["made"]["at"], default=None
-    )
+    newest = _newest(store)
     if newest is None:
-        raise EdreamError(f"There is nothing to report on in {store.root}; run edream calibrate or edream diagnose first.")
-    made_with = newest.manifest["fields"]["config"]
-    OmegaConf.update(cfg, "report.of", newest.stage)
-    OmegaConf.update(cfg, "robot.name", made_with["robot"]["name"])
-    if newest.stage == "fit":
-        OmegaConf.update(cfg, "fit.method", made_with["fit"]["method"])
-    made = pipeline.make("report", cfg, pipeline.chain(store, newest))
+        raise EdreamError(f"There is nothing to report on in {store.root}; run edream calibrate, diagnose or dream first.")
+    made = _written(store, newest) or _anew(store, newest, cfg)
     path = made.path(next(name for name in made if name.endswith(".html"))).absolute()
-    found = {"report": str(path), "of": newest.stage, "artifact": str(newest.folder.absolute())}
+    found = {"report": str(path), "of": REPORTED[newest.stage], "artifact": str(newest.folder.absolute())}
     if write is not None:
         write(json_.dumps(found, indent=2))
     else:
         cli_show.table(found)
     if open_it:
         webbrowser.open(path.as_uri())
+
+
+def _newest(store: Store) -> StoredArtifact | None:
+    """The newest artifact that a page can be about; of fits that were made to compare with, or for a dream, not those."""
+    named = {(run["command"], stage, key) for run in store.runs().values() for stage, key in run["made"].items()}
+    about = {"fit": "calibrate", "diagnose": "diagnose", "score": "dream"}
+    found = [one for one in store.artifacts() if one.stage in REPORTED]
+    asked_for = [one for one in found if (about[one.stage], one.stage, one.key) in named]
+    return (asked_for or found or [None])[-1]
+
+
+def _written(store: Store, newest: StoredArtifact) -> StoredArtifact | None:
+    """The report that there is."""
+    pages = [one for one in store.artifacts() if one.stage == "report" and one.manifest["parents"].get(newest.stage) == newest.key]
+    about = [one for one in pages if one.manifest["fields"]["config"]["report"]["of"] == REPORTED[newest.stage]]
+    return about[-1] if about else None
+
+
+def _anew(store: Store, newest: StoredArtifact, cfg: DictConfig) -> StoredArtifact:
+    """The report, from what the store has."""
+    given = pipeline.chain(store, newest)
+    made_with = {name: one.manifest["fields"]["config"] for name, one in given.items()}
+    OmegaConf.update(cfg, "report.of", REPORTED[newest.stage])
+    robots = [settings["robot"]["name"] for settings in made_with.values() if (settings.get("robot") or {}).get("name")]
+    OmegaConf.update(cfg, "robot.name", robots[0] if robots else None)
+    if "fit" in made_with:
+        OmegaConf.update(cfg, "fit.method", made_with["fit"]["fit"]["method"])
+    if "render" in made_with:
+        OmegaConf.update(cfg, "render.model", made_with["render"]["render"]["model"])
+    return pipeline.make("report", cfg, given)

@@ -2,14 +2,17 @@
 
 import json as json_
 import re
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from edream.calibration.methods import methods
 from edream.store import StoredArtifact
 
 SUMMARY = "summary.json"
 MOST = 40
+WIDE = 160  # columns where nobody says how many there are
 FIRST = ("name", "model", "value", "unit", "interval", "status")  # columns that a reader looks for, in this order
 BOX = {"low", "high", "start"}  # what --json adds to a parameter
 
@@ -21,7 +24,7 @@ def result(made: Mapping[str, StoredArtifact], run: Path, write: Callable[[str],
     artifact becomes the file's path. Further artifacts add the path of their first `.html` under their stage's name.
 
     Args:
-        made: the artifacts asked for, in order, then all that they were made from.
+        made: the artifacts asked for, in order, then all that they were made from; those under other settings by their needs.
         run: the file that names them.
         write: prints the JSON object, or None to print tables.
     """
@@ -31,7 +34,10 @@ def result(made: Mapping[str, StoredArtifact], run: Path, write: Callable[[str],
         pages = [file for file in artifact if file.endswith(".html")]
         if pages:
             summary.setdefault(name if artifact is not first else "report", str(artifact.path(pages[0]).absolute()))
-    summary.setdefault("seconds", round(sum(artifact.manifest["made"]["seconds"] for artifact in made.values()), 1))
+    own = [artifact for need, artifact in made.items() if need == artifact.stage]
+    summary.setdefault("seconds", round(sum(artifact.seconds for artifact in own), 1))
+    beside = methods(made)
+    summary |= {"methods": beside} if beside else {}
     summary |= {"artifact": str(first.folder.absolute()), "run": str(run.absolute())}
     if write is not None:
         write(json_.dumps(summary, indent=2, allow_nan=False))
@@ -45,7 +51,7 @@ def table(values: Mapping[str, Any]) -> None:
     from rich.markup import escape
     from rich.table import Table
 
-    console = Console(highlight=False, soft_wrap=True)
+    console = Console(highlight=False, soft_wrap=True, width=None if sys.stdout.isatty() else WIDE)
     if "sentence" in values:
         console.print(str(values["sentence"]), style="bold", markup=False)
     for name, value in values.items():
@@ -62,7 +68,8 @@ def table(values: Mapping[str, Any]) -> None:
             shown = Table(title=name, title_justify="left", box=None, pad_edge=False)
             columns = _columns(rows)
             for column in columns:
-                shown.add_column(escape(column), no_wrap=column in ("value", "status", "unit"))
+                whole = all(isinstance(row.get(column), int | float) for row in rows if column in row)
+                shown.add_column(escape(column), no_wrap=whole or column in ("value", "status", "unit"))
             for row in rows[:MOST]:
                 shown.add_row(*(escape(_cell(row.get(column, ""))) for column in columns))
             console.print()

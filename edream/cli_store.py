@@ -9,6 +9,7 @@ from omegaconf import DictConfig
 
 from edream import catalog, cli_show, pipeline
 from edream.core.errors import EdreamError, unknown_name
+from edream.core.stage import stage_of
 
 
 def status(cfg: DictConfig, overrides: Sequence[str], json: bool) -> None:
@@ -18,7 +19,7 @@ def status(cfg: DictConfig, overrides: Sequence[str], json: bool) -> None:
     runs = store.runs()
     found = {
         "runs": {
-            name: {"command": run["command"], "made": [f"{s}/{key}" for s, key in run["made"].items()]}
+            name: {"command": run["command"], "made": [f"{stage_of(need)}/{key}" for need, key in run["made"].items()]}
             for name, run in runs.items()
         },
         "artifacts": [

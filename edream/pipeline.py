@@ -14,11 +14,11 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
 from edream import __version__, catalog, config, executor, kinds
 from edream.core.errors import EdreamError
-from edream.core.stage import Source, Stage
+from edream.core.stage import Source, Stage, stage_of
 from edream.store import Store, StoredArtifact, writing
 from edream.work import StageWork
 
@@ -73,6 +73,8 @@ def make_run(command: str, names: Sequence[str], cfg: DictConfig) -> tuple[dict[
         The artifacts asked for and then all that they were made from, and the file that names them.
     """
     store = open_store(cfg)
+    for name in names:  # a wrong setting of the last stage is told before the first has worked for an hour
+        stage(name).needs_for(config.read(cfg, stage(name).config))
     with store.session():
         made = {name: make(name, cfg) for name in names}
         for artifact in list(made.values()):
@@ -112,13 +114,23 @@ def check_settings(cfg: DictConfig) -> None:
 
 
 def chain(store: Store, artifact: StoredArtifact) -> dict[str, StoredArtifact]:
-    """An artifact and everything it was made from, stage name -> artifact."""
+    """An artifact and everything it was made from, need -> artifact; of what was made under other settings, only that itself."""
     found = {artifact.stage: artifact}
-    for name, key in artifact.manifest["parents"].items():
-        parent = store.find(name, key)
-        if parent is not None and name not in found:
-            found |= {k: v for k, v in chain(store, parent).items() if k not in found}
+    for need, key in artifact.manifest["parents"].items():
+        parent = store.find(stage_of(need), key)
+        if parent is not None and need not in found:
+            inside = chain(store, parent) if need == parent.stage else {need: parent}
+            found |= {k: v for k, v in inside.items() if k not in found}
     return found
+
+
+def under(cfg: DictConfig, need: str) -> DictConfig:
+    """The config under which a need is made."""
+    changed = cfg.copy()
+    for setting in need.split(" ")[1:]:
+        name, _, value = setting.partition("=")
+        OmegaConf.update(changed, name, value)
+    return changed
 
 
 @dataclass(frozen=True)
@@ -144,23 +156,24 @@ def plan(name: str, cfg: DictConfig) -> list[Step]:
     newest = {artifact.stage: artifact for artifact in store.artifacts()}
     steps: dict[str, Step] = {}
 
-    def look(name: str) -> StoredArtifact | None:
+    def look(need: str, cfg: DictConfig) -> StoredArtifact | None:
+        name, cfg = stage_of(need), under(cfg, need)
         entry = stage(name)
         settings = config.read(cfg, entry.config)
-        inputs = {need: look(need) for need in entry.needs_for(settings)}
-        missing = [need for need, artifact in inputs.items() if artifact is None]
+        inputs = {one: look(one, cfg) for one in entry.needs_for(settings)}
+        missing = [one for one, artifact in inputs.items() if artifact is None]
         if missing:
-            steps[name] = Step(name, None, f"waits for {missing[0]}")
+            steps[need] = Step(need, None, f"waits for {missing[0]}")
             return None
-        key_fields = _key_fields(entry, settings, {need: artifact for need, artifact in inputs.items() if artifact is not None})
+        key_fields = _key_fields(entry, settings, {one: artifact for one, artifact in inputs.items() if artifact is not None})
         key = _key(key_fields)
         found = store.find(name, key)
         changes = differences(newest[name].manifest["fields"], key_fields) if found is None and name in newest else ()
         state = "made" if found else "partly made" if store.work(name, key).is_dir() else "not made"
-        steps[name] = Step(name, key, state, tuple(changes))
+        steps[need] = Step(need, key, state, tuple(changes))
         return found
 
-    look(name)
+    look(name, cfg)
     return list(steps.values())
 
 
@@ -180,9 +193,13 @@ class _Maker:
     places: executor.Executor
     made: dict[str, StoredArtifact]
 
-    def make(self, name: str) -> StoredArtifact:
-        if name in self.made:
-            return self.made[name]
+    def make(self, need: str) -> StoredArtifact:
+        if need in self.made:
+            return self.made[need]
+        name = stage_of(need)
+        if name != need:
+            self.made[need] = self.elsewhere(under(self.cfg, need)).make(name)
+            return self.made[need]
         entry = stage(name)
         settings = config.read(self.cfg, entry.config)
         inputs = {need: self.make(need) for need in entry.needs_for(settings)}
@@ -198,6 +215,17 @@ class _Maker:
         self.made[name] = found
         return found
 
+    def elsewhere(self, cfg: DictConfig) -> "_Maker":
+        """The maker under another config, which knows what was made already and would be the same there."""
+
+        def same(name: str) -> bool:
+            entry = stage(name)
+            settings = config.read(cfg, entry.config)
+            return settings == config.read(self.cfg, entry.config) and all(map(same, map(stage_of, entry.needs_for(settings))))
+
+        kept = {need: one for need, one in self.made.items() if need == one.stage and same(need)}
+        return _Maker(cfg, self.store, self.places, kept)
+
     def run(
         self, entry: Stage, settings: Any, inputs: Mapping[str, StoredArtifact], key_fields: Mapping[str, Any]
     ) -> StoredArtifact:
@@ -205,10 +233,11 @@ class _Maker:
         if sys.stderr.isatty():
             _say(f"{entry.name} ...")
         started, clock = datetime.now(UTC), time.perf_counter()
+        work = StageWork(self.store, entry.name, key, self.places)
         with writing(self.store.root):
-            bundle = entry.run(inputs, settings, StageWork(self.store, entry.name, key, self.places))
+            bundle = entry.run(inputs, settings, work)
         parents = {need: artifact.key for need, artifact in inputs.items()}
-        about = {"fields": key_fields, "parents": parents, "made": _made(started, time.perf_counter() - clock)}
+        about = {"fields": key_fields, "parents": parents, "made": _made(started, work.earlier + time.perf_counter() - clock)}
         return self.store.publish({"stage": entry.name, "key": key, **about}, bundle)
 
 

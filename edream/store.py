@@ -24,7 +24,7 @@ from typing import Any
 
 from edream import kinds
 from edream.core.errors import EdreamError, unknown_name
-from edream.core.stage import Artifact, Bundle
+from edream.core.stage import Artifact, Bundle, stage_of
 
 MANIFEST = "manifest.json"
 KEY_LENGTH = 20
@@ -40,6 +40,7 @@ class StoredArtifact(Artifact):
         self.stage: str = self.manifest["stage"]
         self.key: str = self.manifest["key"]
         self.digest: str = self.manifest["digest"]
+        self.seconds: float = self.manifest.get("made", {}).get("seconds", 0.0)
         self._checked: set[str] = set()
 
     def __iter__(self) -> Iterator[str]:
@@ -170,7 +171,8 @@ class Store:
             except EdreamError as error:
                 problems.append(str(error))
                 continue
-            gone = [f"{stage}/{key}" for stage, key in made.items() if not (self.folder(stage, key) / MANIFEST).exists()]
+            named = [(stage_of(need), key) for need, key in made.items()]
+            gone = [f"{stage}/{key}" for stage, key in named if not (self.folder(stage, key) / MANIFEST).exists()]
             problems += [f"{path} names {name}, which does not exist; run its command again or remove {path}." for name in gone]
         return problems
 
@@ -190,12 +192,12 @@ class Store:
                 self.run_file(name).unlink()
             artifacts = {(a.stage, a.key): a for a in map(StoredArtifact, [path.parent for path in self._manifests()])}
             needed: set[tuple[str, str]] = set()
-            open_ = [(stage, key) for run in self.runs().values() for stage, key in run["made"].items()]
+            open_ = [(stage_of(need), key) for run in self.runs().values() for need, key in run["made"].items()]
             while open_:
                 one = open_.pop()
                 if one in artifacts and one not in needed:
                     needed.add(one)
-                    open_ += artifacts[one].manifest["parents"].items()
+                    open_ += [(stage_of(need), key) for need, key in artifacts[one].manifest["parents"].items()]
             unneeded = [artifacts[one].folder for one in sorted(artifacts.keys() - needed)]
             left = [*self.root.glob("*/.tmp-*"), *self.root.glob("*/.work-*"), *self.root.glob(".tmp-*")]
             for folder in [*unneeded, *left]:

@@ -3,6 +3,7 @@
 import hashlib
 import shutil
 import sys
+import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
@@ -17,13 +18,18 @@ from edream.store import MANIFEST, Store, StoredArtifact, publish
 
 
 class StageWork(Work):
-    """The `Work` of one stage under one key."""
+    """The `Work` of one stage under one key.
+
+    Attributes:
+        earlier: seconds that shards took which an earlier process finished.
+    """
 
     def __init__(self, store: Store, stage: str, key: str, executor: Executor) -> None:
         self._root = store.work(stage, key)
         self._stage, self._key = stage, key
         self._executor = executor
         self.rng = np.random.default_rng(self._sequence())
+        self.earlier = 0.0
 
     def seed(self, name: str) -> int:
         return int(self._sequence(name).generate_state(1)[0])
@@ -41,7 +47,7 @@ class StageWork(Work):
         if parallel:
             jobs = list(enumerate(items))
             count = len(jobs)
-            missing = [job for job in jobs if not _published(folder, job[0])]
+            missing = [job for job in jobs if not self._found(folder, job[0])]
             with self.progress(count, f"{self._stage}: {name}") as bar:
                 bar.update(count - len(missing))
                 for _ in self._executor.run(task, missing):
@@ -51,7 +57,7 @@ class StageWork(Work):
             total = len(items) if isinstance(items, Sequence) else None
             with self.progress(total, f"{self._stage}: {name}") as bar:
                 for index, item in enumerate(items):
-                    if not _published(folder, index):
+                    if not self._found(folder, index):
                         task((index, item))
                     count += 1
                     bar.update()
@@ -69,6 +75,14 @@ class StageWork(Work):
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(parents=True)
         return folder
+
+    def _found(self, folder: Path, index: int) -> bool:
+        """Whether an earlier process finished a shard; if so, its time counts."""
+        place = _place(folder, index)
+        if not (place / MANIFEST).exists():
+            return False
+        self.earlier += StoredArtifact(place).seconds
+        return True
 
     def _sequence(self, name: str = "") -> np.random.SeedSequence:
         words = np.frombuffer(hashlib.sha256(name.encode()).digest()[:8], dtype=np.uint32)
@@ -103,11 +117,9 @@ def _shard(
 ) -> None:
     index, item = job
     own = np.random.SeedSequence(sequence.entropy, spawn_key=(*sequence.spawn_key, index))
-    publish(_place(folder, index), manifest, function(item, np.random.default_rng(own)))
-
-
-def _published(folder: Path, index: int) -> bool:
-    return (_place(folder, index) / MANIFEST).exists()
+    clock = time.perf_counter()
+    bundle = function(item, np.random.default_rng(own))
+    publish(_place(folder, index), {**manifest, "made": {"seconds": round(time.perf_counter() - clock, 3)}}, bundle)
 
 
 def _place(folder: Path, index: int) -> Path:

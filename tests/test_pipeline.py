@@ -73,3 +73,39 @@ def test_verify_finds_everything_as_written(settings) -> None:
     edream("ingest", *settings)
     runs = next(one for one in settings if one.startswith("runs="))
     assert edream("verify", runs) == {"ok": True, "problems": []}
+
+
+def test_ways_to_fit_stand_side_by_side_as_fits_of_their_own_and_are_not_made_twice(settings) -> None:
+    small = [*settings, "fit.seconds=4", "fit.stretch=2", "fit.search.evaluations=20"]
+    first = edream("calibrate", *small, "fit.compare=[cmaes,gauss_newton]")
+    assert [row["method"] for row in first["methods"]] == ["gauss_newton", "cmaes"]
+    for row in first["methods"]:
+        assert row["heldout_rad"] > 0 and row["seconds"] > 0 and row["simulations"] > 0
+    page = Path(first["report"]).read_text()
+    assert "Ways to fit" in page and "<td>cmaes</td>" in page
+    assert edream("calibrate", *small, "fit.compare=[cmaes,gauss_newton]") == first
+    alone = edream("calibrate", *small, "fit.method=cmaes")
+    assert alone["simulations"] == first["methods"][1]["simulations"] and "methods" not in alone
+    runs = next(one for one in settings if one.startswith("runs="))
+    artifacts = [one["artifact"] for one in edream("status", runs)["artifacts"]]
+    assert len([one for one in artifacts if one.startswith("fit/")]) == 2
+    assert edream("gc", runs)["removed"] == []
+
+
+def test_a_method_to_compare_with_that_does_not_exist_is_told_before_anything_is_made(recorded, tmp_path) -> None:
+    wrong = ["robot=pan_tilt", f"data={recorded}", "ingest.fps=50", f"runs={tmp_path}", "fit.compare=[cmaess]"]
+    done = subprocess.run([*PROGRAM, "calibrate", *wrong], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 2 and "Did you mean 'cmaes'?" in done.stderr
+    assert not list(tmp_path.glob("*/*"))
+
+
+def test_report_finds_the_page_of_the_newest_calibration_and_writes_it_anew_where_it_is_gone(settings) -> None:
+    import shutil
+
+    made = edream("calibrate", *settings, "fit.seconds=4", "fit.stretch=2")
+    runs = next(one for one in settings if one.startswith("runs="))
+    found = edream("report", runs)
+    assert found["report"] == made["report"] and found["artifact"] == made["artifact"]
+    page = Path(made["report"]).read_text()
+    shutil.rmtree(Path(made["report"]).parent)
+    assert Path(edream("report", runs)["report"]).read_text() == page

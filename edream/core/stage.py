@@ -27,11 +27,13 @@ class Artifact(ABC, Mapping[str, Any]):
         stage: name of the stage that made it.
         key: hash of all that it was made from.
         digest: hash of what it says, independent of how that lies on disk.
+        seconds: how long making it took, without what it was made from; for reading, and part of no hash.
     """
 
     stage: str
     key: str
     digest: str
+    seconds: float
 
     @abstractmethod
     def path(self, name: str) -> Path:
@@ -95,6 +97,11 @@ class Work(ABC):
         """A new, empty folder for files that are too big to hold; put their paths in the bundle to keep them."""
 
 
+def stage_of(need: str) -> str:
+    """The stage of a need: `fit`, and `fit fit.method=cmaes`, which is the same stage under other settings, are both of `fit`."""
+    return need.partition(" ")[0]
+
+
 @dataclass(frozen=True)
 class Stage:
     """One step of the pipeline: a file in `edream/stages/` whose `ENTRY` is one of these.
@@ -102,10 +109,11 @@ class Stage:
     Attributes:
         name: the file's name.
         version: raise it when the meaning of the output changes.
-        needs: stages whose artifacts it reads, or how they follow from its config.
+        needs: stages whose artifacts it reads, or how they follow from its config. `fit fit.method=cmaes` is the artifact that
+            `fit` makes where that setting differs.
         config: a frozen dataclass that lists exactly what it reads from the config. `Path` fields never enter the key themselves;
             what they lead to does.
-        run: `run(inputs, config, work)` makes the artifact. `inputs` maps the name of each needed stage to its artifact.
+        run: `run(inputs, config, work)` makes the artifact. `inputs` maps each need to its artifact.
         sources: outside data whose content enters the key, by name; None for the file or folder of every `Path` field.
         numerics: packages whose version changes the numbers, such as ("mujoco",). With "torch" the thread count enters too.
     """

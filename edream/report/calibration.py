@@ -16,7 +16,11 @@ LARGEST_MAP = 48  # parameters whose correlations a reader can still follow
 
 
 def calibration_page(
-    fitted: Mapping[str, Any], ingested: Mapping[str, Any], surrogate: Mapping[str, Any] | None, robot: str
+    fitted: Mapping[str, Any],
+    ingested: Mapping[str, Any],
+    surrogate: Mapping[str, Any] | None,
+    robot: str,
+    methods: Sequence[Mapping[str, Any]] = (),
 ) -> str:
     """The page as HTML.
 
@@ -24,6 +28,7 @@ def calibration_page(
         fitted: file name -> value, as the stage `fit` makes it.
         ingested: the same of `ingest`, and `surrogate` of the surrogate, where one was used.
         robot: what to call it.
+        methods: ways to fit side by side, as `edream.calibration.methods` makes them; empty where nothing was compared.
     """
     summary, details = fitted["summary.json"], fitted["details.json"]
     joints = ingested["summary.json"]["joints"]
@@ -51,6 +56,7 @@ def calibration_page(
         "history": history(details["history"]),
         "surrogate": None if surrogate is None else surrogate["summary.json"],
         "difference": (details["model_difference"] or "").splitlines(),
+        "methods": methods,
         "hook": fitted[summary["hook"]] if "hook" in summary else None,
         "recordings": about_recordings(ingested),
     }

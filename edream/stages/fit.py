@@ -207,7 +207,7 @@ def _summary(
     inputs: Mapping[str, Artifact],
 ) -> dict[str, Any]:
     judge = error["heldout" if held else "train"]
-    on = f"on {len(held)} motions it never saw" if held else "on the motions it was fitted to; none was held out"
+    on = f"on {len(held)} motion{'s' * (len(held) > 1)} it never saw" if held else "on the motions it was fitted to; none was held out"
     before = judge["before"]["joint_rmse_rad"]
     swept = inputs["sweep"]["summary.json"]["simulations"] if "sweep" in inputs else 0
     return {

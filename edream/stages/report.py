@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from edream import catalog
+from edream.calibration.methods import methods
 from edream.calibration.problem import Fitter
 from edream.core.stage import Artifact, Bundle, Stage, Work
 from edream.report.calibration import calibration_page
@@ -31,9 +32,10 @@ class ReportedRobot:
 
 @dataclass(frozen=True)
 class ReportedFit:
-    """Of the fit only its method counts here: it says whether there is a surrogate to report on."""
+    """Of the fit its method counts here, which says whether there is a surrogate to report on, and what it is compared with."""
 
     method: str = "gauss_newton"
+    compare: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -59,8 +61,13 @@ def needs(config: ReportConfig) -> tuple[str, ...]:
         return ("diagnose", "ingest")
     if config.report.of == "dream":
         return tuple(name for name in DREAM if name != "camera" or config.render.model != "none")
-    entry = catalog.load("fitters", config.fit.method, Fitter)
-    return ("fit", "ingest", "surrogate") if entry.needs_surrogate else ("fit", "ingest")
+    others = [method for method in dict.fromkeys(config.fit.compare) if method != config.fit.method]
+    beside = [f"{need} fit.method={method}" for method in others for need in _fit_by(method)]
+    return (*_fit_by(config.fit.method), "ingest", *beside)
+
+
+def _fit_by(method: str) -> tuple[str, ...]:
+    return ("fit", "sweep", "surrogate") if catalog.load("fitters", method, Fitter).needs_surrogate else ("fit",)
 
 
 def run(inputs: Mapping[str, Artifact], config: ReportConfig, work: Work) -> Bundle:
@@ -70,7 +77,7 @@ def run(inputs: Mapping[str, Artifact], config: ReportConfig, work: Work) -> Bun
         return {PAGE: diagnosis_page(inputs["diagnose"], inputs["ingest"], robot)}
     if config.report.of == "dream":
         return {PAGE: dream_page(inputs, robot)}
-    return {PAGE: calibration_page(inputs["fit"], inputs["ingest"], inputs.get("surrogate"), robot)}
+    return {PAGE: calibration_page(inputs["fit"], inputs["ingest"], inputs.get("surrogate"), robot, methods(inputs))}
 
 
 ENTRY = Stage("report", 2, needs, ReportConfig, run, None, ("matplotlib",))

@@ -145,3 +145,11 @@ def test_a_file_added_to_an_artifact_is_noticed(tmp_path) -> None:
     store = store_with(tmp_path, {"x.txt": "x"})
     (tmp_path / "demo" / "00ff" / "stray.txt").write_text("")
     assert "stray.txt does not belong" in store.verify()[0]
+
+
+def test_how_long_something_took_is_no_part_of_what_a_page_says(tmp_path) -> None:
+    pages = {"fast": "<td><time>1.0</time></td>", "slow": "<td><time>99.5</time></td>", "other": "<td><time>1.0</time>!</td>"}
+    for name, text in pages.items():
+        kinds.write(text, tmp_path / f"{name}.html")
+    fast, slow, other = (kinds.digest(tmp_path / f"{name}.html") for name in pages)
+    assert fast == slow != other
