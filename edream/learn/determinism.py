@@ -15,13 +15,13 @@ def threads() -> int:
 
 
 @contextmanager
-def deterministic() -> Iterator[None]:
-    """Pin the thread count and forbid algorithms that differ from run to run; both are put back afterwards."""
-    count, strict = torch.get_num_threads(), torch.are_deterministic_algorithms_enabled()
-    torch.set_num_threads(threads())
+def deterministic(count: int | None = None) -> Iterator[None]:
+    """Pin the thread count (`threads()` where None) and forbid algorithms that differ from run to run; both are put back afterwards."""
+    before, strict = torch.get_num_threads(), torch.are_deterministic_algorithms_enabled()
+    torch.set_num_threads(count or threads())
     torch.use_deterministic_algorithms(True)
     try:
         yield
     finally:
-        torch.set_num_threads(count)
+        torch.set_num_threads(before)
         torch.use_deterministic_algorithms(strict)

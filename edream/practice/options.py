@@ -1,0 +1,86 @@
+"""What the config says about policies and how they are trained; see `conf/policy/tiny.yaml` and its neighbours for each."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from edream.core.errors import EdreamError, require
+from edream.learn.training import Schedule
+from edream.practice.shaking import Shake
+
+
+@dataclass(frozen=True)
+class PolicyOptions:
+    """The policy: its network, what it sees, and how its chunks are executed.
+
+    Attributes:
+        kind: entry of `edream/policies/`.
+        options: the entry's own.
+        chunk: actions predicted at once.
+        stride: actions executed before the next chunk is asked for.
+        ensemble: m of temporal ensembling, or None.
+        cameras: views, or None for all that the demonstrations have; [] for none.
+        height, width: size of each view [pixel].
+        rate: control steps a second [Hz], or None for the demonstrations' own.
+        objects: scene file with the tracks of objects, whose poses the policy sees as numbers (state mode), or None.
+        device: auto, cpu or cuda.
+    """
+
+    kind: str = "act"
+    options: Mapping[str, Any] = field(default_factory=dict)
+    chunk: int = 16
+    stride: int = 8
+    ensemble: float | None = None
+    cameras: tuple[str, ...] | None = None
+    height: int = 64
+    width: int = 64
+    rate: float | None = None
+    objects: Path | None = None
+    device: str = "auto"
+
+    def __post_init__(self) -> None:
+        require(1 <= self.stride <= self.chunk, "policy.stride", self.stride, f"1 to policy.chunk ({self.chunk})")
+        require(self.ensemble is None or self.ensemble >= 0.0, "policy.ensemble", self.ensemble, "0 or more, or null")
+        require(min(self.height, self.width) >= 16, "policy.height or policy.width", min(self.height, self.width), "at least 16")
+        require(self.rate is None or self.rate > 0.0, "policy.rate", self.rate, "Hz above 0, or null")
+        require(self.device in ("auto", "cpu", "cuda"), "policy.device", self.device, "auto, cpu or cuda")
+
+
+@dataclass(frozen=True)
+class SftOptions:
+    """Training on demonstrations.
+
+    Attributes:
+        train: how long and how fast.
+        batch: samples a step.
+        checkpoint: steps after which the state is kept and the held-out demonstrations are judged.
+        held: share of the demonstrations that is held out, at least one.
+        apart: held-out steps that are judged lie this far apart.
+        shake: how training images are shaken.
+    """
+
+    train: Schedule = field(default_factory=Schedule)
+    batch: int = 32
+    checkpoint: int = 250
+    held: float = 0.1
+    apart: int = 5
+    shake: Shake = field(default_factory=Shake)
+
+    def __post_init__(self) -> None:
+        for name in ("batch", "checkpoint", "apart"):
+            require(getattr(self, name) >= 1, f"sft.{name}", getattr(self, name), "at least 1")
+        require(0.0 < self.held < 1.0, "sft.held", self.held, "a share between 0 and 1")
+
+
+def device_of(asked: str) -> torch.device:
+    """Where to train.
+
+    Raises:
+        EdreamError: a GPU is asked for and there is none.
+    """
+    if asked == "cuda" and not torch.cuda.is_available():
+        raise EdreamError("policy.device is cuda, but torch finds no GPU here; use policy.device=auto.")
+    return torch.device("cuda" if asked != "cpu" and torch.cuda.is_available() else "cpu")

@@ -1,0 +1,91 @@
+"""Which of several trials of one start went better, and which pairs are worth learning from."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pyarrow as pa
+
+from edream.core.errors import EdreamError, require
+
+
+@dataclass(frozen=True)
+class RankOptions:
+    """How trials are compared.
+
+    Attributes:
+        margin: least difference of terminal distance for a pair [m]; a success and a failure make a pair whatever their distance.
+        pairs: most pairs of one start, the widest apart first.
+    """
+
+    margin: float = 0.01
+    pairs: int = 4
+
+    def __post_init__(self) -> None:
+        require(self.margin >= 0.0, "rank.margin", self.margin, "metres, 0 or more")
+        require(self.pairs >= 1, "rank.pairs", self.pairs, "at least 1")
+
+
+def ranked(outcomes: pa.Table, options: RankOptions) -> tuple[pa.Table, pa.Table]:
+    """Rank the trials of each start: success first, then the terminal distance.
+
+    Args:
+        outcomes: columns trial, start, sample, success, distance.
+
+    Returns:
+        The trials with their rank (0 the best) and advantage (how far above the mean of their start, in spreads), and the pairs:
+        start, chosen, rejected (numbers of trials), gap [m], by (success or distance).
+    """
+    rows = outcomes.to_pylist()
+    order: list[dict[str, object]] = []
+    pairs: list[dict[str, object]] = []
+    for start in sorted({row["start"] for row in rows}):
+        group = sorted(
+            (row for row in rows if row["start"] == start), key=lambda row: (not row["success"], row["distance"], row["trial"])
+        )
+        gains = advantages(group)
+        order += [
+            {"trial": row["trial"], "start": start, "rank": rank, "advantage": gains[rank], "good": bool(row["success"])}
+            for rank, row in enumerate(group)
+        ]
+        pairs += pairs_of(group, options)
+    kinds = [("trial", pa.int64()), ("start", pa.int64()), ("rank", pa.int64()), ("advantage", pa.float64()), ("good", pa.bool_())]
+    of_pairs = [("start", pa.int64()), ("chosen", pa.int64()), ("rejected", pa.int64()), ("gap", pa.float64()), ("by", pa.string())]
+    return pa.Table.from_pylist(order, pa.schema(kinds)), pa.Table.from_pylist(pairs, pa.schema(of_pairs))
+
+
+def pairs_of(group: Sequence[Mapping[str, object]], options: RankOptions) -> list[dict[str, object]]:
+    """Pairs of one start's trials, best first in `group`, that differ enough; the widest apart first."""
+    found = []
+    for i, better in enumerate(group):
+        for worse in group[i + 1 :]:
+            gap = float(worse["distance"]) - float(better["distance"])  # type: ignore[arg-type]
+            apart = better["success"] != worse["success"]
+            if apart or gap >= options.margin:
+                row = {"start": better["start"], "chosen": better["trial"], "rejected": worse["trial"], "gap": gap}
+                found.append(row | {"by": "success" if apart else "distance"})
+    found.sort(key=lambda pair: (pair["by"] != "success", -pair["gap"], pair["chosen"], pair["rejected"]))
+    return found[: options.pairs]
+
+
+def advantages(group: Sequence[Mapping[str, object]]) -> list[float]:
+    """Reward of each trial, less the mean of its group, in standard deviations; 0 where all went alike.
+
+    The reward is 1 for success, and less the distance [m] up to half a metre, so that it orders trials as the ranking does.
+    """
+    reward = np.array([float(bool(row["success"])) - min(float(row["distance"]), 0.5) for row in group])  # type: ignore[arg-type]
+    spread = reward.std()
+    return [0.0] * len(group) if spread < 1e-9 else ((reward - reward.mean()) / spread).tolist()
+
+
+def require_pairs(pairs: pa.Table, trials: int) -> None:
+    """Refuse to learn from nothing.
+
+    Raises:
+        EdreamError: no pair differs by the margin.
+    """
+    if not len(pairs):
+        raise EdreamError(
+            f"None of {trials} trials went better than another of its start by rank.margin; raise rollouts.noise.action or "
+            "rollouts.samples, or lower rank.margin."
+        )

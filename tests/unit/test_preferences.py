@@ -1,0 +1,90 @@
+"""Learning from trials that went better or worse: signs, anchors, ranking, rates."""
+
+import math
+
+import numpy as np
+import pyarrow as pa
+import pytest
+import torch
+
+from edream import catalog
+from edream.core.errors import EdreamError
+from edream.learn.policy import log_likelihood
+from edream.learn.preference import Judged, Preference, PreferenceOptions
+from edream.practice.ranking import RankOptions, ranked, require_pairs
+from edream.practice.rates import apart, rate
+
+B = 0.1
+EXECUTED = torch.tensor([[[0.2], [0.4]], [[-0.3], [-0.1]]])  # the chosen trajectory, then the rejected one
+VALID = torch.ones(2, 2, dtype=torch.bool)
+
+
+def judged(mean: torch.Tensor, good: tuple[bool, bool] = (True, False)) -> Judged:
+    mu = mean.expand(2, 2, 1)
+    reference = log_likelihood(EXECUTED, torch.zeros(2, 2, 1), VALID, B, "laplace")
+    ratio = log_likelihood(EXECUTED, mu, VALID, B, "laplace") - reference
+    error = (EXECUTED - mu).abs().flatten(1).sum(1) / B
+    rows = [torch.tensor([0]), torch.tensor([1])]
+    return Judged(ratio, error, torch.full((2,), 2.0), *rows, torch.tensor([1.0, -1.0]), torch.tensor(good))
+
+
+@pytest.mark.parametrize("name", catalog.names("preferences"))
+def test_every_objective_moves_the_policy_towards_what_went_well(name: str) -> None:
+    mean = torch.zeros(1, 2, 1, requires_grad=True)
+    loss = catalog.load("preferences", name, Preference).loss(judged(mean), PreferenceOptions(beta=0.1))
+    loss.backward()
+    assert mean.grad is not None and (mean.grad < 0).all(), "descending must raise the mean, for the chosen actions lie above it"
+
+
+def test_tpo_is_what_hand_computes_and_without_alpha_it_is_the_paper_s() -> None:
+    mean = torch.full((1, 2, 1), 0.1)
+    one = judged(mean)
+    gap = 0.1 * ((0.2 / B) - (-0.2 / B))  # each of two actions is 0.1 nearer to the chosen, 0.1 farther from the rejected
+    paper = -math.log(1.0 / (1.0 + math.exp(-gap)))
+    anchor = 0.1 * (0.1 + 0.3) / B
+    tpo, plain = (catalog.load("preferences", name, Preference) for name in ("tpo", "tpo_paper"))
+    assert float(plain.loss(one, PreferenceOptions(beta=0.1, alpha=1.0))) == pytest.approx(paper, rel=1e-5)
+    assert float(tpo.loss(one, PreferenceOptions(beta=0.1, alpha=0.0))) == pytest.approx(paper, rel=1e-5)
+    assert float(tpo.loss(one, PreferenceOptions(beta=0.1, alpha=1.0))) == pytest.approx(paper + anchor, rel=1e-5)
+
+
+def test_grpo_stops_where_the_ratio_has_left_its_region_and_cloning_wants_successes_only() -> None:
+    mean = torch.full((1, 2, 1), 0.2, requires_grad=True)  # ratio per number e^2: far outside
+    one = judged(mean)
+    better = Judged(one.ratio, one.error, one.size, one.chosen, one.rejected, torch.tensor([1.0, 0.0]), one.good)
+    catalog.load("preferences", "grpo", Preference).loss(better, PreferenceOptions(clip=0.2)).backward()
+    assert mean.grad is not None and (mean.grad == 0).all()
+    nothing = judged(torch.zeros(1, 2, 1), good=(False, False))
+    assert float(catalog.load("preferences", "filtered_bc", Preference).loss(nothing, PreferenceOptions())) == 0.0
+
+
+def outcomes(*rows: tuple[int, bool, float]) -> pa.Table:
+    return pa.Table.from_pylist(
+        [{"trial": i, "start": s, "sample": i, "success": good, "distance": d} for i, (s, good, d) in enumerate(rows)]
+    )
+
+
+def test_success_ranks_before_distance_and_pairs_share_a_start_and_differ_by_the_margin() -> None:
+    table = outcomes((1, False, 0.02), (1, True, 0.09), (1, False, 0.021), (1, False, 0.2), (2, False, 0.3), (2, False, 0.305))
+    order, pairs = ranked(table, RankOptions(margin=0.01, pairs=10))
+    assert [row["trial"] for row in order.to_pylist() if row["start"] == 1] == [1, 0, 2, 3]
+    found = {(row["chosen"], row["rejected"], row["by"]) for row in pairs.to_pylist()}
+    assert found == {(1, 0, "success"), (1, 2, "success"), (1, 3, "success"), (0, 3, "distance"), (2, 3, "distance")}
+    gains = [row["advantage"] for row in order.to_pylist() if row["start"] == 1]
+    assert gains == sorted(gains, reverse=True) and np.mean(gains) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_the_widest_pairs_are_kept_and_none_at_all_is_a_sentence() -> None:
+    table = outcomes((1, False, 0.1), (1, False, 0.2), (1, False, 0.4))
+    pairs = ranked(table, RankOptions(0.01, 1))[1]
+    assert [(row["chosen"], row["rejected"]) for row in pairs.to_pylist()] == [(0, 2)]
+    none = ranked(outcomes((1, False, 0.1), (1, False, 0.1)), RankOptions())[1]
+    with pytest.raises(EdreamError, match=r"rollouts\.noise\.action"):
+        require_pairs(none, 2)
+
+
+def test_wilson_s_interval_is_the_one_in_the_books() -> None:
+    found = rate([True] * 15 + [False] * 5)
+    assert found.share == 0.75 and found.interval == pytest.approx((0.5313, 0.8881), abs=1e-4)
+    assert rate([False] * 10).interval[0] == pytest.approx(0.0, abs=1e-12) and rate([False] * 10).interval[1] > 0.25
+    assert apart(rate([True] * 90 + [False] * 10), rate([True] * 10 + [False] * 90)) and not apart(found, found)
