@@ -9,8 +9,8 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "edream"
 PLUMBING = {"catalog", "config", "store", "kinds", "executor", "work"}
-ENTRIES = {"effects", "formats", "fitters", "surrogates", "codecs", "denoisers", "objectives", "segmenters", "policies", "metrics", "tasks"}
-METHODS = {"ingest", "calibration", "diagnosis", "vision"}  # what the stages of one job share
+ENTRIES = {"effects", "formats", "fitters", "surrogates", "codecs", "denoisers", "objectives", "segmenters", "policies", "preferences", "metrics", "tasks"}
+METHODS = {"ingest", "calibration", "diagnosis", "vision", "practice"}  # what the stages of one job share
 SIDES = {"sim", "learn"}
 MAY_IMPORT = {
     "core": {"core"},
@@ -85,7 +85,7 @@ def allowed(module: str, target: str) -> bool:
     if home == "stages":
         return to in {"core", "sim", "learn", "report", "catalog", "reality"} | METHODS or target == module
     if home in METHODS:
-        return to in {"core", "catalog", "sim", "learn", home}
+        return to in {"core", "catalog", "sim", "learn", home} | ({"vision"} if home == "practice" else set())
     right = MAY_IMPORT[home]
     return to in right or target in right
 
