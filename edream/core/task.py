@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from edream.core.bench import Arm
 from edream.core.policy import Outcome
@@ -192,3 +192,20 @@ def rotation(quat: Float[np.ndarray, "4"]) -> Float[np.ndarray, "3 3"]:
             [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
         ]
     )
+
+
+def pinched(pairs: Int[np.ndarray, "C 2"], finger: Int[np.ndarray, "G"], thing: Sequence[str | None]) -> frozenset[str]:
+    """Names of the things that both fingers of an arm touch.
+
+    Args:
+        pairs: the two geoms of every contact.
+        finger: 2 x arm for each geom of its fixed finger, 2 x arm + 1 for its moving one, -1 for any other geom.
+        thing: of each geom, the thing it is part of.
+    """
+    met: dict[str, set[int]] = {}
+    for one, two in pairs:
+        for a, b in ((one, two), (two, one)):
+            name = thing[b]
+            if finger[a] >= 0 and name is not None:
+                met.setdefault(name, set()).add(int(finger[a]))
+    return frozenset(name for name, fingers in met.items() if any(f % 2 == 0 and f + 1 in fingers for f in fingers))

@@ -98,7 +98,7 @@ class Studio:
                 light = level * (1.0 + 0.5 * self.look.drift * np.sin(2.0 * np.pi * time / 7.0 + phase[0]))
                 warmth = 1.0 + 0.25 * self.look.drift * np.array([1.0, 0.0, -1.0]) * np.sin(2.0 * np.pi * time / 11.0 + phase[1])
                 thing = None if session.thing is None else session.thing.at(float(time))
-                yield _sensed(eye.look(session.joints[row], thing), light * warmth, self.look.noise, rng)
+                yield sensed(eye.look(session.joints[row], thing), light * warmth, self.look.noise, rng)
 
     def masks(self, session: Session) -> Iterator[UInt8[np.ndarray, "H W"]]:
         """Where the object is to be seen, 0 or 1: the truth that segmenters are judged by."""
@@ -111,7 +111,7 @@ class Studio:
         """The scene without robot and object, as one would photograph it beforehand."""
         bare = _without(self.model)
         with _Eye(bare, self.camera) as eye:
-            return _sensed(eye.look(np.zeros(self.model.nq), None), np.ones(3), 0.0, np.random.default_rng(0))
+            return sensed(eye.look(np.zeros(self.model.nq), None), np.ones(3), 0.0, np.random.default_rng(0))
 
 
 class _Eye:
@@ -153,7 +153,7 @@ class _Eye:
         )
 
 
-def _sensed(image: np.ndarray, light: np.ndarray, noise: float, rng: np.random.Generator) -> UInt8[np.ndarray, "H W 3"]:
+def sensed(image: np.ndarray, light: np.ndarray, noise: float, rng: np.random.Generator) -> UInt8[np.ndarray, "H W 3"]:
     """Lens and sensor: darker corners, the light's brightness, a tone curve, noise that grows with the signal, 8 bits."""
     h, w = image.shape[:2]
     y, x = np.mgrid[0:h, 0:w]
@@ -185,7 +185,7 @@ def _stage(robot: RobotModel, camera: Camera, reach: float, table: float, rng: n
     spec = robot.spec()
     for name in [one.name for one in spec.cameras]:
         spec.delete(spec.camera(name))
-    _materials(spec, rng)
+    materials(spec, rng)
     for geom in spec.geoms:
         light = float(np.mean(geom.rgba[:3]))
         geom.material = "reality_pale" if light > 0.6 else "reality_dark" if light < 0.35 else "reality_mark"
@@ -221,7 +221,8 @@ def _stage(robot: RobotModel, camera: Camera, reach: float, table: float, rng: n
     return spec.compile()
 
 
-def _materials(spec: mujoco.MjSpec, rng: np.random.Generator) -> None:
+def materials(spec: mujoco.MjSpec, rng: np.random.Generator) -> None:
+    """Textures and materials of everything that is to be seen, their tints by chance."""
     flat, checker, gradient = (getattr(mujoco.mjtBuiltin, f"mjBUILTIN_{n}") for n in ("FLAT", "CHECKER", "GRADIENT"))
     looks: Mapping[str, tuple] = {  # builtin, first colour, second colour, share of random marks, repeats, shine
         "wood": (checker, [0.62, 0.47, 0.33], [0.55, 0.41, 0.29], 0.08, [7.0, 7.0], 0.1),

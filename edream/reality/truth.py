@@ -18,6 +18,12 @@ from edream.reality.plant import NUISANCE, Plant, Term, nominal_plant
 from edream.sim.robot import RobotModel
 
 SEAL = "edream sealed truth 1"
+# what robots at work commonly have, and what spoils a grasp: losses under load, lateness, and a weight or pull nobody told of
+COMMON = (
+    ("load_friction", "directional_efficiency", "servo_gain"),
+    ("actuator_delay", "actuator_lag"),
+    ("payload", "constant_torque", "parallel_spring"),
+)
 
 
 @dataclass(frozen=True)
@@ -44,12 +50,14 @@ class Truth:
         effects: the hidden effects, in the order in which they act.
         nuisance: true kp, kd, damping, frictionloss and armature by joint; those not named are nominal.
         sees: whether encoder and servo sit on the link or the motor side of a shaft that gives.
+        cell: what is true of its workcell: factors on the `mass` and `grip` (contact friction) of things, and the seed of its `look`.
     """
 
     robot: str
     effects: tuple[Hidden, ...] = ()
     nuisance: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     sees: Literal["link", "motor"] = "link"
+    cell: Mapping[str, float] = field(default_factory=dict)
 
     def plant(self, model: mujoco.MjModel) -> Plant:
         """The robot with its true nuisance parameters and none of its hidden effects."""
@@ -121,6 +129,19 @@ def draw(
     return Truth(robot.name, tuple(effects), nuisance)
 
 
+def drawn_effects(seed: int) -> tuple[str, ...]:
+    """Effects to hide where the user names none: one of each group of `COMMON`, by chance."""
+    rng = np.random.default_rng(np.random.SeedSequence((seed, 0xD1)))
+    return tuple(str(rng.choice(group)) for group in COMMON)
+
+
+def with_cell(truth: Truth, seed: int) -> Truth:
+    """The same robot at a workbench: things are heavier or lighter than they look, and more slippery than one would think."""
+    rng = np.random.default_rng(np.random.SeedSequence((seed, 0xCE11)))
+    cell = {"mass": float(rng.uniform(0.8, 1.4)), "grip": float(rng.uniform(0.7, 0.95)), "look": float(rng.integers(2**31))}
+    return replace(truth, cell=cell)
+
+
 def absent(truth: Truth) -> Truth:
     """The same truth with every effect at the values at which it is not there."""
     effects = tuple(Hidden(h.name, h.targets, dict(KINDS[h.name].absent)) for h in truth.effects)
@@ -160,7 +181,7 @@ def unseal(path: Path) -> Truth:
         raise EdreamError(f"The sealed truth {path} was altered: its digest does not match its content.")
     fields = json.loads(plain)
     hidden = tuple(Hidden(h["name"], tuple(h["targets"]), h["values"]) for h in fields["effects"])
-    return Truth(fields["robot"], hidden, fields["nuisance"], fields["sees"])
+    return Truth(fields["robot"], hidden, fields["nuisance"], fields["sees"], fields.get("cell", {}))
 
 
 def _gravity_scale(plant: Plant, model: mujoco.MjModel) -> np.ndarray:

@@ -13,7 +13,7 @@ from edream.core.camera import Camera
 from edream.core.effect import MEASURED_SUFFIX, MOTOR_SUFFIX, joint_index
 from edream.core.errors import EdreamError
 from edream.core.policy import Conditions, Observation, Outcome, StartNoise, World
-from edream.core.task import Layout, Scene, Task, Thing
+from edream.core.task import Layout, Scene, Task, Thing, pinched
 from edream.sim.eyes import Eyes, furnish_views
 from edream.sim.open_loop import load_hook
 from edream.sim.robot import RobotModel
@@ -184,12 +184,7 @@ class Touching:
 
     def pinched(self, data: mujoco.MjData) -> frozenset[str]:
         """Their names."""
-        met: dict[str, set[int]] = {}
-        for one, two in data.contact.geom[: data.ncon]:
-            for finger, thing in ((self.finger[one], self.thing[two]), (self.finger[two], self.thing[one])):
-                if finger >= 0 and thing is not None:
-                    met.setdefault(thing, set()).add(int(finger))
-        return frozenset(name for name, fingers in met.items() if any(2 * f in fingers and 2 * f + 1 in fingers for f in range(2)))
+        return pinched(data.contact.geom[: data.ncon], self.finger, self.thing)
 
 
 def furnish(
