@@ -16,9 +16,14 @@ def record_robot(cfg: DictConfig, write: Write) -> None:
     """Record the make-believe robot that the config names."""
     from edream.calibration.settings import RobotSettings
     from edream.record import RecordConfig, record
+    from edream.record_task import record_task
 
     robot = config.read(cfg.robot, RobotSettings, "robot").load()
-    _print(record(robot, config.read(cfg.record, RecordConfig, "record"), int(cfg.seed)), write)
+    settings = config.read(cfg.record, RecordConfig, "record")
+    if cfg.task is None:
+        _print(record(robot, settings, int(cfg.seed)), write)
+    else:
+        _print(record_task(robot, str(cfg.task), settings, int(cfg.seed)), write)
 
 
 def export_episodes(cfg: DictConfig, to: str, out: Path, write: Write) -> None:

@@ -15,7 +15,7 @@ from edream.core.errors import EdreamError, unknown_name
 
 T = TypeVar("T")
 PATHS = frozenset(
-    {"data", "runs", "robot.mjcf", "record.out", "replay.hook", "camera.file", "camera.marks", "render.scene"}
+    {"data", "runs", "robot.mjcf", "record.out", "record.truth", "replay.hook", "camera.file", "camera.marks", "render.scene"}
     | {"masks.plate", "masks.truth", "masks.folder", "masks.weights", "dream.codec.weights", "dream.denoiser.weights"}
 )
 # settings that hold names of the user's own, such as fit.fixed={servo_gain.kp: 18}; Hydra adds to them only where told so

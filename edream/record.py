@@ -12,10 +12,11 @@ from edream import catalog
 from edream.core.episode import Recording
 from edream.core.errors import EdreamError
 from edream.core.format import Format, ReadOptions
+from edream.reality.cell_look import CellLook
 from edream.reality.filming import Filming
 from edream.reality.look import Look
 from edream.reality.recorder import Recorder, make_recordings
-from edream.reality.truth import draw, seal
+from edream.reality.truth import Truth, draw, drawn_effects, seal, unseal, with_cell
 from edream.sim.camera import graphics
 from edream.sim.robot import RobotModel
 
@@ -26,7 +27,7 @@ class RecordConfig:
 
     Attributes:
         out: the new data set folder.
-        effects: effects to hide.
+        effects: effects to hide; `drawn` stands for some that robots at work commonly have, which is what a task has where None.
         at: target of each effect, in order; drawn where missing.
         format: format of the data set.
         motions: number of recordings.
@@ -40,10 +41,14 @@ class RecordConfig:
         counts: encoder counts per turn.
         jitter: standard deviation of the recorder's clock [s].
         video: whether a camera films it; its look and what moves about stand in `look`.
+        truth: a sealed truth: the same robot again, in place of one drawn by chance.
+        episodes: of a task: number of demonstrations.
+        control: of a task: control steps per second [Hz].
+        cell: of a task: its cameras.
     """
 
     out: Path
-    effects: tuple[str, ...] = ()
+    effects: tuple[str, ...] | None = None
     at: tuple[str, ...] = ()
     format: str = "aloha_hdf5"
     motions: int = 12
@@ -57,9 +62,13 @@ class RecordConfig:
     jitter: float = 0.0003
     video: bool = False
     look: Look = field(default_factory=Look)
+    truth: Path | None = None
+    episodes: int = 50
+    control: float = 25.0
+    cell: CellLook = field(default_factory=CellLook)
 
     def __post_init__(self) -> None:
-        for name in ("motions", "seconds", "rate", "step", "counts"):
+        for name in ("motions", "seconds", "rate", "step", "counts", "episodes", "control"):
             if getattr(self, name) <= 0:
                 raise EdreamError(f"record.{name} is {getattr(self, name)}; expected a number above 0.")
         if self.step > 0.001:
@@ -93,8 +102,7 @@ def record(robot: RobotModel, config: RecordConfig, seed: int = 0) -> dict[str, 
         if path.exists():
             raise EdreamError(f"There is already something at {path}; record.out must name a new folder.")
     form = catalog.load("formats", config.format, Format)
-    truths, motions = np.random.SeedSequence(seed).spawn(2)
-    truth = draw(robot, config.effects, np.random.default_rng(truths), config.deviation, config.at)
+    truth, motions = hidden_robot(robot, config, seed), np.random.SeedSequence(seed).spawn(2)[1]
     recorder = Recorder(config.rate, config.jitter, config.noise, config.counts, config.step)
     filming = Filming(robot, config.look, seed) if config.video else None
     chance = int(motions.generate_state(1)[0])
@@ -107,7 +115,7 @@ def record(robot: RobotModel, config: RecordConfig, seed: int = 0) -> dict[str, 
     else:
         with graphics():
             form.write(made, out)
-            filmed = filming.leave(_names(form, out, made, config.rate), out)
+            filmed = filming.leave(recorded_names(form, out, made, config.rate), out)
     return {
         "data": str(out),
         "truth": str(sealed),
@@ -118,6 +126,23 @@ def record(robot: RobotModel, config: RecordConfig, seed: int = 0) -> dict[str, 
         "joints": list(robot.joints),
         **filmed,
     }
+
+
+def hidden_robot(robot: RobotModel, config: RecordConfig, seed: int, task: bool = False) -> Truth:
+    """What is true of the make-believe robot; the same seed and effects give the same, whether it is to move or to work.
+
+    Raises:
+        EdreamError: an effect or target does not exist, or `record.truth` is of another robot.
+    """
+    if config.truth is not None:
+        truth = unseal(config.truth)
+        if truth.robot != robot.name:
+            raise EdreamError(f"{config.truth} is the truth of robot {truth.robot!r}, not {robot.name!r}.")
+        return truth
+    named = config.effects if config.effects is not None else ("drawn",) if task else ()
+    effects = tuple(one for name in named for one in (drawn_effects(seed) if name == "drawn" else (name,)))
+    rng = np.random.default_rng(np.random.SeedSequence(seed).spawn(2)[0])
+    return with_cell(draw(robot, effects, rng, config.deviation, config.at), seed)
 
 
 def read_motion(path: Path, robot: RobotModel, rate: float) -> Float[np.ndarray, "K J"]:
@@ -144,7 +169,7 @@ def read_motion(path: Path, robot: RobotModel, rate: float) -> Float[np.ndarray,
     return np.stack([np.interp(clock, values[:, 0] - values[0, 0], values[:, 1 + j]) for j in order], axis=1)
 
 
-def _names(form: Format, out: Path, made: Sequence[Recording], rate: float) -> list[str]:
+def recorded_names(form: Format, out: Path, made: Sequence[Recording], rate: float) -> list[str]:
     """What a reader of the data set will call each recording; a format may give names of its own."""
     names = [""] * len(made)
     for read in form.recordings(out, ReadOptions(fps=rate)):

@@ -25,6 +25,7 @@ MAY_IMPORT = {
     "reality": {"core", "sim.robot", "reality", "robots"},
     "export": {"core", "catalog", "ingest"},
     "record": {"core", "catalog", "sim", "reality"},
+    "record_task": {"core", "catalog", "sim", "reality", "record"},
     "pipeline": {"core", "stages"} | PLUMBING,
     "report": {"core", "sim", "learn", "report", "catalog"} | METHODS,
 }
@@ -79,7 +80,7 @@ def allowed(module: str, target: str) -> bool:
     if to in ENTRIES and home not in ENTRIES:
         return False
     if home.startswith("cli"):
-        return to in {"core", "pipeline", "record", "export"} | METHODS | PLUMBING or to.startswith("cli")
+        return to in {"core", "pipeline", "record", "record_task", "export"} | METHODS | PLUMBING or to.startswith("cli")
     if home in ENTRIES:
         return to in {"core", "sim", "learn"} | METHODS or target == module
     if home == "stages":

@@ -1,4 +1,4 @@
-"""How the workcell looks in reality: its own textures, a lamp with shadows, a camera that stands a little elsewhere, blur and noise."""
+"""How the workcell looks in reality: its own textures, a lamp with shadows, cameras a little elsewhere, blur and noise."""
 
 from dataclasses import dataclass
 

@@ -1,8 +1,8 @@
 """The make-believe robot moving among things: contacts by MuJoCo, torques of actuators and friction by reality's own equations.
 
 Each step of at most 1 ms applies the servo's torque, hidden effects included, and what passive effects add, as a joint force; dry
-friction is a bound on each joint's friction force. A bound that differs by direction, -u <= f <= d, is the same as half the sum either
-way and a constant force of half the difference.
+friction is a bound on each joint's friction force. A bound that differs by direction, -u <= f <= d, is the same as half the sum
+either way and a constant force of half the difference.
 """
 
 from collections.abc import Sequence

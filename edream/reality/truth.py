@@ -50,7 +50,7 @@ class Truth:
         effects: the hidden effects, in the order in which they act.
         nuisance: true kp, kd, damping, frictionloss and armature by joint; those not named are nominal.
         sees: whether encoder and servo sit on the link or the motor side of a shaft that gives.
-        cell: what is true of its workcell: factors on the `mass` and `grip` (contact friction) of things, and the seed of its `look`.
+        cell: what is true of its workcell: factors on the `mass` and `grip` (contact friction) of things, the seed of its `look`.
     """
 
     robot: str
