@@ -14,6 +14,7 @@ PULL = 2.5  # rate at which the expert corrects what it sees [1/s]
 SIGHT = 0.12  # what it sees of its own moves is so old [s]
 NEAR = 0.012  # joints within this of where they should be have arrived [rad]
 PATIENCE = 0.8  # longest wait for that [s]
+FAR = 0.3  # a turn of the hand beyond which it does not keep to a line [rad]
 FURTHEST = 0.15  # largest correction of a joint [rad]
 
 
@@ -50,8 +51,9 @@ class Expert:
         self.before, self.index, self.time, self.waited = self.goal, 0, 0.0, 0.0
         self.joints, self.off = q, np.zeros(len(q))
         self.past = [q] * (1 + round(SIGHT * self.rate))
+        self.stances = [q]
         for number, one in enumerate(self.waypoints):
-            q = reachable(reach, one.pos, one.turn, q, f"waypoint {number} of {self.task.name}")
+            self.stances.append(reachable(reach, one.pos, one.turn, self.stances[-1], f"waypoint {number} of {self.task.name}"))
 
     @property
     def done(self) -> bool:
@@ -67,14 +69,21 @@ class Expert:
         goal = self.goal if self.done else self.waypoints[self.index]
         share = 1.0 if self.done or goal.seconds <= 0.0 else min(1.0, self.time / goal.seconds)
         eased = share**3 * (10.0 - 15.0 * share + 6.0 * share**2)  # minimum jerk: Flash and Hogan, 1985
-        pos = self.before.pos + eased * (goal.pos - self.before.pos)
-        turn = _between(self.before.turn, goal.turn, eased)
-        self.joints = self.reaches[self.arm].solve(pos, turn, self.joints, 20)
+        self.joints = self._stance(goal, eased)
         self.past = [*self.past[1:], self.joints]
         command = self.rest.copy()
         command[self.columns_now[:-1]] = self.joints + self.off
         command[self.columns_now[-1]] = self.before.gap + eased * (goal.gap - self.before.gap)
         return command
+
+    def _stance(self, goal: Waypoint, share: float) -> np.ndarray:
+        """The hand on a straight line; where it turns far, each joint on its own way, which cannot get caught near a singularity."""
+        last, following = self.stances[self.index], self.stances[min(self.index + 1, len(self.stances) - 1)]
+        nearby = last + share * (following - last)
+        turn, angle = _between(self.before.turn, goal.turn, share)
+        if angle > FAR:
+            return nearby
+        return self.reaches[self.arm].solve(self.before.pos + share * (goal.pos - self.before.pos), turn, nearby, 20)
 
     def _advance(self, lag: float) -> None:
         if self.done:
@@ -90,14 +99,14 @@ class Expert:
         self.index, self.time, self.waited = self.index + 1, 0.0, 0.0
 
 
-def _between(one: np.ndarray, two: np.ndarray, share: float) -> np.ndarray:
-    """Axes on the shortest turn from one to another."""
+def _between(one: np.ndarray, two: np.ndarray, share: float) -> tuple[np.ndarray, float]:
+    """Axes on the shortest turn from one to another, and how far that is [rad]."""
     quat, turn, whole = np.zeros(4), np.zeros(3), np.zeros(9)
     mujoco.mju_mat2Quat(quat, (two @ one.T).ravel())
     mujoco.mju_quat2Vel(turn, quat, 1.0)
     angle = float(np.linalg.norm(turn))
     if angle < 1e-9:
-        return one
+        return one, 0.0
     mujoco.mju_axisAngle2Quat(quat, turn / angle, share * angle)
     mujoco.mju_quat2Mat(whole, quat)
-    return whole.reshape(3, 3) @ one
+    return whole.reshape(3, 3) @ one, angle
