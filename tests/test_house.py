@@ -24,13 +24,14 @@ MAY_IMPORT = {
     "learn": {"core", "learn"},
     "reality": {"core", "sim.robot", "reality", "robots"},
     "export": {"core", "catalog", "ingest"},
+    "gym": {"core", "catalog", "sim", "vision", "reality"},
     "record": {"core", "catalog", "sim", "reality"},
     "record_task": {"core", "catalog", "sim", "reality", "record"},
     "pipeline": {"core", "stages"} | PLUMBING,
     "report": {"core", "sim", "learn", "report", "catalog"} | METHODS,
 }
 CORE_PACKAGES = {"numpy", "jaxtyping"}
-REALITY_READERS = ("record", "stages.record", "stages.evaluate")
+REALITY_READERS = ("record", "stages.record", "stages.evaluate", "gym")
 MUJOCO_FREE = {"core", "learn"} | PLUMBING
 MOST_LINES = 400
 PLUMBING_LINES = 1200

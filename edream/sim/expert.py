@@ -77,7 +77,7 @@ class Expert:
         return command
 
     def _stance(self, goal: Waypoint, share: float) -> np.ndarray:
-        """The hand on a straight line; where it turns far, each joint on its own way, which cannot get caught near a singularity."""
+        """The hand on a straight line; where it turns far, each joint on its own way, so that no singularity catches it."""
         last, following = self.stances[self.index], self.stances[min(self.index + 1, len(self.stances) - 1)]
         nearby = last + share * (following - last)
         turn, angle = _between(self.before.turn, goal.turn, share)
