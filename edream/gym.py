@@ -31,7 +31,7 @@ OBSERVED = ("raw", "dreamed", "reality", "state")
 class WorkcellEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
     """A robot at its bench.
 
-    Actions are position commands [rad or m] of every actuator. An episode lasts as long as the task's trial; its reward is 1 at every
+    Actions are position commands [rad or m] of every actuator. An episode lasts as long as a trial; its reward is 1 at each
     step at which the task is done, and what counts is whether it is done at the end (`info["success"]`).
 
     Args:

@@ -16,7 +16,7 @@ NEAR = 0.03  # how far the cup's middle may be from the mat's [m]
 class PutCupOnMat(Task):
     name = "put_cup_on_mat"
     sentence = "Put the cup on the mat."
-    seconds = 8.5
+    seconds = 9.0
     held = "cup"
 
     def things(self, rng: np.random.Generator) -> tuple[Thing, ...]:

@@ -15,7 +15,7 @@ TILT = 0.45
 class PutRemoteInBox(Task):
     name = "put_remote_in_box"
     sentence = "Put the remote control into the box."
-    seconds = 8.5
+    seconds = 9.0
     held = "remote"
 
     def things(self, rng: np.random.Generator) -> tuple[Thing, ...]:
