@@ -86,7 +86,7 @@ def _views(base: tuple[float, float, float], arms: tuple[Arm, ...], width: float
     at = np.array(base)
     high = looking_at(at + [0.72 + width, 0.0, 0.62 + 0.6 * width], at + [0.28, 0.0, 0.06])
     side = looking_at(at + [0.34, -0.72 - width, 0.34], at + [0.26, 0.0, 0.08])
-    views = {"cam_high": View(high, 0.58), "cam_side": View(side, 0.62)}
+    views = {"cam_high": View(high, 0.58 + 1.1 * width), "cam_side": View(side, 0.62)}
     for arm in arms:
         views[arm.site.removesuffix("ee") + "wrist"] = View(HAND_VIEW.pose, HAND_VIEW.fovy, arm.site)
     return views

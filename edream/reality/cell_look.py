@@ -6,6 +6,7 @@ import cv2
 import mujoco
 import numpy as np
 from jaxtyping import UInt8
+from mujoco.rendering.classic import gl_context
 
 from edream.core.bench import Bench
 from edream.core.camera import Camera, pinhole
@@ -89,8 +90,8 @@ def dress(spec: mujoco.MjSpec, bench: Bench, layout: Layout | None, look: CellLo
     slant = [-0.35 + 0.2 * rng.uniform(-1, 1), 0.5 + 0.2 * rng.uniform(-1, 1), -1.0]
     world.add_light(pos=[cx + 0.8, -1.0, cz + 1.8], dir=slant, type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, **lamp)
     spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [0.3, 0.31, 0.34], [0.12] * 3
-    spec.visual.quality.shadowsize, spec.visual.quality.offsamples = 1024, 0
-    spec.visual.quality.numslices, spec.visual.quality.numstacks = 20, 10
+    spec.visual.quality.shadowsize, spec.visual.quality.offsamples = 512, 0
+    spec.visual.quality.numslices, spec.visual.quality.numstacks = 12, 6
     spec.visual.global_.offwidth, spec.visual.global_.offheight = look.width * SCALE, look.height * SCALE
     spec.visual.map.znear = 0.005
     for name, camera in placed_cameras(bench, look, seed).items():
@@ -119,29 +120,48 @@ def _put_up(spec: mujoco.MjSpec, name: str, camera: Camera, on: str | None) -> N
 
 
 class Lens:
-    """The cameras of one trial."""
+    """The cameras, kept from trial to trial: models of one bench and task share their textures."""
 
-    def __init__(self, model: mujoco.MjModel, look: CellLook, seed: int) -> None:
-        self.look, self.rng = look, np.random.default_rng(seed)
-        self.renderer = mujoco.Renderer(model, look.height * SCALE, look.width * SCALE)
-        self.phase, self.level = self.rng.uniform(0.0, 2.0 * np.pi, 2), 1.0 + look.drift * self.rng.uniform(-1.0, 1.0)
+    def __init__(self, model: mujoco.MjModel, look: CellLook) -> None:
+        self.look, width, height = look, look.width * SCALE, look.height * SCALE
+        self._gl = gl_context.GLContext(width, height)
+        self._gl.make_current()
+        self._context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_50)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
+        self._view, self._option, self._from = mujoco.MjvScene(model, maxgeom=400), mujoco.MjvOption(), mujoco.MjvCamera()
+        self._view.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = 1
+        self._from.type = mujoco.mjtCamera.mjCAMERA_FIXED
+        self._rectangle, self._image = mujoco.MjrRect(0, 0, width, height), np.zeros((height, width, 3), np.uint8)
+        self.begin(0)
 
-    def see(self, data: mujoco.MjData, time: float, clean: bool = False) -> dict[str, UInt8[np.ndarray, "H W 3"]]:
+    def begin(self, seed: int) -> None:
+        """Another trial, in another light."""
+        self.rng = np.random.default_rng(seed)
+        self.phase, self.level = self.rng.uniform(0.0, 2.0 * np.pi, 2), 1.0 + self.look.drift * self.rng.uniform(-1.0, 1.0)
+
+    def see(
+        self, model: mujoco.MjModel, data: mujoco.MjData, time: float, clean: bool = False
+    ) -> dict[str, UInt8[np.ndarray, "H W 3"]]:
         """The images as the cameras give them; `clean` ones without drift and noise."""
-        drift = self.look.drift
+        look, drift = self.look, self.look.drift
         light = self.level * (1.0 + 0.5 * drift * np.sin(2.0 * np.pi * time / 7.0 + self.phase[0]))
         warmth = 1.0 + 0.25 * drift * np.array([1.0, 0.0, -1.0]) * np.sin(2.0 * np.pi * time / 11.0 + self.phase[1])
         out = {}
-        for name in self.look.cameras:
-            self.renderer.update_scene(data, CAMERA + name)
-            image = self.renderer.render()
-            sigma = self.look.blur * image.shape[0]
-            if sigma > 0.0:
-                image = cv2.GaussianBlur(image, (0, 0), sigma)
-            small = image.reshape(self.look.height, SCALE, self.look.width, SCALE, 3).mean(axis=(1, 3)) / 255.0
-            out[name] = sensed(small, np.ones(3) if clean else light * warmth, 0.0 if clean else self.look.noise, self.rng)
+        self._gl.make_current()
+        for name in look.cameras:
+            self._from.fixedcamid = int(model.camera(CAMERA + name).id)
+            mujoco.mjv_updateScene(model, data, self._option, None, self._from, mujoco.mjtCatBit.mjCAT_ALL, self._view)
+            mujoco.mjr_render(self._rectangle, self._view, self._context)
+            mujoco.mjr_readPixels(self._image, None, self._rectangle, self._context)
+            image = np.ascontiguousarray(self._image[::-1])
+            if look.blur > 0.0:
+                image = cv2.GaussianBlur(image, (0, 0), look.blur * image.shape[0])
+            small = image.reshape(look.height, SCALE, look.width, SCALE, 3).mean(axis=(1, 3)) / 255.0
+            out[name] = sensed(small, np.ones(3) if clean else light * warmth, 0.0 if clean else look.noise, self.rng)
         return out
 
     def close(self) -> None:
         """Free the graphics context."""
-        self.renderer.close()
+        self._gl.make_current()
+        self._context.free()
+        self._gl.free()

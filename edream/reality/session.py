@@ -40,6 +40,7 @@ class Session:
             term.start((1, len(names)))
         model.opt.gravity = self.plant.gravity
         model.dof_armature[self.dofs], model.dof_damping[self.dofs] = self.plant.armature, self.plant.damping
+        model.dof_frictionloss[self.dofs] = np.maximum(self.plant.frictionloss, 1e-9)
         used = {
             n: [t for t in self.terms if getattr(type(t), n) is not getattr(Term, n)] for n in ("error", "drive", "dry", "passive")
         }
@@ -63,7 +64,7 @@ class Session:
     def run(self, command: Float[np.ndarray, "J"], until: float) -> None:
         """Hold a command until the clock of the simulation says `until` [s]."""
         steps = round((until - self.data.time) / self.step)
-        held = np.repeat(command[None, None], steps, axis=0)
+        held = np.repeat(command[None, None], max(steps, 0), axis=0)
         for setpoint in self._setpoints:
             held = setpoint.follow(held)
         for row in held:
@@ -98,11 +99,13 @@ class Session:
                 motor = motor + more
         if self._sprung:
             link = link - plant.stiffness * (q - plant.rest)
-        up = down = np.broadcast_to(plant.frictionloss, q.shape)
-        for term in self._dry:
-            up, down = term.dry(up, down, now)
-        self.model.dof_frictionloss[self.dofs] = np.maximum(0.5 * (up + down)[0], 1e-9)
-        uneven = 0.5 * (up - down)
+        uneven = 0.0
+        if self._dry:
+            up = down = plant.frictionloss[None]
+            for term in self._dry:
+                up, down = term.dry(up, down, now)
+            self.model.dof_frictionloss[self.dofs] = np.maximum(0.5 * (up + down)[0], 1e-9)
+            uneven = 0.5 * (up - down)
         data.qfrc_applied[self.dofs] = (motor + link - uneven)[0]
         mujoco.mj_step(self.model, data)
         rubbing = np.zeros(q.shape[1])

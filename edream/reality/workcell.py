@@ -95,8 +95,8 @@ class RealWorkcell(World):
         self.session.rest(self._inside(np.clip(rest, self.low, self.high)), SETTLE)
         self.scene = Scene(layout, self.state(), self.session.data.site_xpos[self._hand].copy())
         if self.look is not None:
-            self.close()
-            self._lens = Lens(model, self.look, int(self._chance.integers(2**31)))
+            self._lens = self._lens or Lens(model, self.look)
+            self._lens.begin(int(self._chance.integers(2**31)))
         return self._observe()
 
     def step(self, action: Float[np.ndarray, "A"]) -> Observation:
@@ -128,9 +128,9 @@ class RealWorkcell(World):
             if geom.rgba[3] == 0.0 or geom.parent.name != "world":
                 geom.material, geom.rgba = "", [0.0, 0.0, 0.0, 0.0]
         model = spec.compile()
-        data, lens = mujoco.MjData(model), Lens(model, look, 0)
+        data, lens = mujoco.MjData(model), Lens(model, look)
         mujoco.mj_forward(model, data)
-        seen = lens.see(data, 0.0, clean=True)
+        seen = lens.see(model, data, 0.0, clean=True)
         lens.close()
         return seen
 
@@ -149,7 +149,7 @@ class RealWorkcell(World):
         noisy = self.session.encoder() + self._noise * self._chance.standard_normal(len(self._names))
         joints = (np.round(noisy / self._count) * self._count)[self._order]
         time = self._taken / self.rate
-        return Observation(joints, self._lens.see(self.session.data, time) if self._lens else {})
+        return Observation(joints, self._lens.see(self.session.model, self.session.data, time) if self._lens else {})
 
     def _model(self, things: tuple[Thing, ...], grip: float, start: int) -> mujoco.MjModel:
         spec = self.robot.spec()
