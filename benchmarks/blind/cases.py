@@ -66,7 +66,7 @@ class Session:
     seconds: float = 10.0
 
 
-def cases(robots: Sequence[str], sorts: Sequence[str], seeds: int, only: Sequence[str] = ()) -> list[Case]:
+def cases(robots: Sequence[str], sorts: Sequence[str], seeds: int, only: Sequence[str] = (), first: int = 0) -> list[Case]:
     """Every case, one seed after the other and robots in turn, so that a run cut short has seen a bit of everything.
 
     Args:
@@ -74,6 +74,7 @@ def cases(robots: Sequence[str], sorts: Sequence[str], seeds: int, only: Sequenc
         sorts: names from `SORTS`.
         seeds: how many seeds; cases without effect get at least five.
         only: effects to keep (a pair is kept where both are), or empty for all.
+        first: the first seed, so that cases on which a method was worked out need not be those that it is shown on.
 
     Raises:
         EdreamError: a name does not exist.
@@ -89,9 +90,9 @@ def cases(robots: Sequence[str], sorts: Sequence[str], seeds: int, only: Sequenc
         "pair": list(PAIRS),
     }
     out = []
-    for seed in range(max(seeds, FEWEST_EMPTY if "none" in sorts else 0)):
+    for seed in range(first, first + max(seeds, FEWEST_EMPTY if "none" in sorts else 0)):
         for sort in SORTS:
-            if sort in sorts and (seed < seeds or sort == "none"):
+            if sort in sorts and (seed < first + seeds or sort == "none"):
                 chosen = [e for e in hidden[sort] if not only or (set(e) <= set(only) and e)]
                 out += [Case(robot, effects, seed, sort) for effects in chosen for robot in robots]
     return out

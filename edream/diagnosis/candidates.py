@@ -84,8 +84,8 @@ def loose_geoms(model: mujoco.MjModel) -> list[str]:
     return [model.geom(g).name for g in range(model.ngeom) if int(model.geom_bodyid[g]) in free and model.geom(g).name]
 
 
-def tied(problem: Problem, candidates: Sequence[Candidate]) -> list[Candidate]:
-    """Joint candidates of one effect on at least two joints of a hardware group, as one candidate over the whole group."""
+def groups_of(problem: Problem, candidates: Sequence[Candidate]) -> list[Candidate]:
+    """One effect on several single joints, as one candidate over each hardware group of which at least two are among them."""
     out = []
     for effect in dict.fromkeys(c.effect for c in candidates):
         if load("effects", effect, Effect).place != "joint":

@@ -1,5 +1,6 @@
 """Warm-started refits that reuse a Jacobian: cheap enough to try every serious candidate with all nuisance numbers free."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -14,7 +15,8 @@ from edream.sim.rollout import Window
 
 STRETCH = 1.5  # s
 LONGEST_STEP = 0.2  # of the unit box
-TRIALS = (1.0, 0.5, 0.2, 0.06)
+SHORTER = (0.5, 0.2, 0.06)  # of a step
+WORD = 0.5  # share of the promised gain that a whole step must bring
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,8 +124,8 @@ def _cut(window: Window) -> list[Window]:
 def descend(fit: Fit, fresh: Bool[np.ndarray, "P"] | None = None, iterations: int = 6, tolerance: float = 3e-3) -> Fit:
     """Go down until a step gains less than `tolerance` of the cost.
 
-    Each step solves the bounded, prior-weighted linear problem and tries it at four lengths in one batch. Columns in `fresh` are
-    differenced anew after each step, the others follow by Broyden's update.
+    Each step solves the bounded, prior-weighted linear problem; where the whole step brings less than half of what it promised,
+    shorter ones are tried too. Columns in `fresh` are differenced anew after each step, the others follow by Broyden's update.
 
     Args:
         fit: where to begin.
@@ -131,20 +133,26 @@ def descend(fit: Fit, fresh: Bool[np.ndarray, "P"] | None = None, iterations: in
         iterations: most steps.
         tolerance: relative gain below which the fit has arrived.
     """
-    space = fit.space
     for _ in range(iterations):
         move = step_from(fit)
-        trials = np.clip(fit.unit + np.outer(TRIALS, move), 0.0, 1.0)
-        residuals = fit.objective.residuals(space.from_unit(trials))
-        costs = [cost(replace(fit, unit=u, residual=r)) for u, r in zip(trials, residuals, strict=True)]
-        best = int(np.argmin(costs))
-        before = cost(fit)
-        if not costs[best] < before:
+        before, promised = cost(fit), cost(replace(fit, unit=fit.unit + move, residual=fit.residual + fit.jacobian @ move))
+        tried = _tried(fit, move, (1.0,))
+        if before - tried[0][0] < WORD * (before - promised):
+            tried += _tried(fit, move, SHORTER)
+        after, unit, residual = min(tried, key=lambda one: one[0])
+        if not after < before:
             break
-        fit = _moved(fit, trials[best], residuals[best], fresh)
-        if before - costs[best] < tolerance * before:
+        fit = _moved(fit, unit, residual, fresh)
+        if before - after < tolerance * before:
             break
     return fit
+
+
+def _tried(fit: Fit, move: np.ndarray, lengths: Sequence[float]) -> list[tuple[float, np.ndarray, np.ndarray]]:
+    """Cost, place and residual after a step at several lengths."""
+    units = np.clip(fit.unit + np.outer(lengths, move), 0.0, 1.0)
+    residuals = fit.objective.residuals(fit.space.from_unit(units))
+    return [(cost(replace(fit, unit=u, residual=r)), u, r) for u, r in zip(units, residuals, strict=True)]
 
 
 def _moved(fit: Fit, unit: np.ndarray, residual: np.ndarray, fresh: np.ndarray | None) -> Fit:

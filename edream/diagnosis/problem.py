@@ -53,7 +53,7 @@ class Settings:
     ignored: tuple[str, ...] = ()
     joints: tuple[str, ...] = ()
     until: float | None = None
-    seconds: float = 240.0
+    seconds: float = 160.0
     proof: float = 0.25
     holdout: tuple[str, ...] = ()
     stride: int = 1

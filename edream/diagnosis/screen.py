@@ -18,13 +18,15 @@ import numpy as np
 from jaxtyping import Float
 
 from edream.core.errors import EdreamError
-from edream.diagnosis.candidates import Candidate, library, placement, rounds, tied
+from edream.diagnosis.candidates import Candidate, groups_of, library, placement, rounds
 from edream.diagnosis.descent import Fit
 from edream.diagnosis.problem import Problem
 from edream.sim.objective import Objective
 from edream.sim.simulation import Placement, SimulatedRobot
 
-FINALISTS = 24
+FINALISTS = 16
+WORTH_A_LOOK = 0.002  # share
+ENOUGH = 60.0  # s of motion that a score test needs
 log = logging.getLogger(__name__)
 LARGEST_ALPHA = 20.0
 
@@ -46,6 +48,7 @@ class Scored:
 
 def screen(problem: Problem, fit: Fit, done: Callable[[int], object] = lambda n: None) -> list[Scored]:
     """Every effect at every place, best first. Calls `done(n)` as n rounds are finished."""
+    fit = thinned(fit, ENOUGH)
     away, pull = prior_rows(fit)
     base = Projection(np.vstack([fit.jacobian, pull]))
     residual = base.out(np.concatenate([fit.residual, away]))
@@ -57,15 +60,29 @@ def screen(problem: Problem, fit: Fit, done: Callable[[int], object] = lambda n:
         if fresh and fits_beside(problem, fit, fresh):
             first += _probe_round(problem, fit, fresh, total)
         done(1)
-    first.sort(key=lambda s: -s.share)
-    chosen = first[:FINALISTS]
-    best_each = {s.candidate.effect: s for s in reversed(first) if s.share > 0.0}
-    chosen += [s for s in best_each.values() if s not in chosen]
-    groups = tied(problem, [s.candidate for s in first if s.share > 0.002])
-    joined = [_joined(c, first) for c in groups if not acts_already(c, present)]
-    second = [again for s in (*chosen, *joined) if (again := confirm(problem, fit, s, base, total)) is not None]
+    second = [again for s in finalists(first) if (again := confirm(problem, fit, s, base, total)) is not None]
     done(1)
     return sorted(second, key=lambda s: -s.share)
+
+
+def thinned(fit: Fit, seconds: float) -> Fit:
+    """The fit on every so-many-th of its motions, so that they last about `seconds` together and no less."""
+    windows = fit.objective.windows
+    every = int(sum(float(window.times[-1]) for window in windows) // seconds)
+    if every < 2:
+        return fit
+    kept = np.arange(0, len(windows), every)
+    rows = np.isin(fit.objective.owner, kept)
+    objective = replace(fit.objective, windows=[windows[i] for i in kept], simulations=0)
+    return replace(fit, objective=objective, residual=fit.residual[rows], jacobian=fit.jacobian[rows])
+
+
+def finalists(scored: Sequence[Scored]) -> list[Scored]:
+    """Those with the largest shares, and the best of each effect on one joint and on a hardware group."""
+    ranked = sorted((s for s in scored if s.share > 0.0), key=lambda s: -s.share)
+    alone = {s.candidate.effect: s for s in reversed(ranked) if len(s.candidate.targets) < 2}
+    grouped = {s.candidate.effect: s for s in reversed(ranked) if len(s.candidate.targets) > 1 and s.share > WORTH_A_LOOK}
+    return ranked[:FINALISTS] + [s for s in (*alone.values(), *grouped.values()) if s not in ranked[:FINALISTS]]
 
 
 def acts_already(candidate: Candidate, present: Sequence[Placement]) -> bool:
@@ -92,13 +109,6 @@ def prior_rows(fit: Fit) -> tuple[Float[np.ndarray, "P"], Float[np.ndarray, "P P
     return weight * (fit.unit - centre), np.diag(weight)
 
 
-def _joined(candidate: Candidate, first: Sequence[Scored]) -> Scored:
-    """A hardware group's candidate, starting where its best joint would."""
-    own = [s for s in first if s.candidate.effect == candidate.effect and set(s.candidate.targets) <= set(candidate.targets)]
-    best = max(own, key=lambda s: s.share)
-    return Scored(candidate, best.start, sum(s.share for s in own))
-
-
 class Projection:
     """Takes out of a residual what a linear change of the nuisance numbers explains."""
 
@@ -113,44 +123,56 @@ class Projection:
 
 
 def _probe_round(problem: Problem, fit: Fit, candidates: Sequence[Candidate], total: float) -> list[Scored]:
-    """All candidates of a round probed at once; each is judged on its own joint's residual where it acts on one."""
+    """All candidates of a round probed at once; each is judged on the residual of its own joint, a hardware group on all of its."""
     placements = [placement(problem, c) for c in candidates]
     extended, absent = extend(fit, placements)
     probes = [p.effect.probes(problem.robot.model, p.targets) for p in placements]
     count = max(len(p) for p in probes)
     sets = [absent] + [with_quantities(extended, absent, placements, [p[min(i, len(p) - 1)] for p in probes]) for i in range(count)]
     residuals = extended.residuals(np.array(sets))
+    changes = residuals[1:] - residuals[0]
+    return [scored_probes(problem, fit, c, residuals[0], changes, total) for c in (*candidates, *groups_of(problem, candidates))]
+
+
+def scored_probes(
+    problem: Problem,
+    fit: Fit,
+    candidate: Candidate,
+    residual: Float[np.ndarray, "R"],
+    changes: Float[np.ndarray, "K R"],
+    total: float,
+) -> Scored:
+    """The share of the residual that a candidate's best probe points at, and where that puts its quantities."""
+    place = placement(problem, candidate)
+    own = place.effect.probes(problem.robot.model, place.targets)
+    rows, columns = _own_rows(problem, fit, candidate)
     away, pull = prior_rows(fit)
-    out = []
-    for c, place, own in zip(candidates, placements, probes, strict=True):
-        rows, columns = _own_rows(problem, fit, c)
-        projection = Projection(np.vstack([fit.jacobian[np.ix_(rows, columns)], pull[np.ix_(columns, columns)]]))
-        here = projection.out(np.concatenate([residuals[0][rows], away[columns]]))
-        best = Scored(c, own[0], 0.0)
-        for i, probe in enumerate(own):
-            change = projection.out(np.concatenate([residuals[i + 1][rows] - residuals[0][rows], np.zeros(len(columns))]))
-            size = float(change @ change)
-            if size <= 1e-16 * len(rows):
-                continue
-            alpha = -float(change @ here) / size
-            start = scaled_probe(place, problem, probe, alpha)
-            share = float(change @ here) ** 2 / size / total
-            if start is not None and share > best.share:
-                best = Scored(c, start, share)
-        out.append(best)
-    return out
+    projection = Projection(np.vstack([fit.jacobian[np.ix_(rows, columns)], pull[np.ix_(columns, columns)]]))
+    here = projection.out(np.concatenate([residual[rows], away[columns]]))
+    best = Scored(candidate, own[0], 0.0)
+    for probe, all_rows in zip(own, changes, strict=False):  # a round has as many changes as its longest list of probes
+        change = projection.out(np.concatenate([all_rows[rows], np.zeros(len(columns))]))
+        size = float(change @ change)
+        if size <= 1e-16 * len(rows):
+            continue
+        alpha = -float(change @ here) / size
+        start = scaled_probe(place, problem, probe, alpha)
+        share = float(change @ here) ** 2 / size / total
+        if start is not None and share > best.share:
+            best = Scored(candidate, start, share)
+    return best
 
 
 def _own_rows(problem: Problem, fit: Fit, candidate: Candidate) -> tuple[np.ndarray, np.ndarray]:
-    """Residual rows and nuisance columns that concern the joint that a candidate acts on; all, where it acts on none."""
-    everything = np.arange(len(fit.residual)), np.arange(len(fit.unit))
-    target = candidate.targets[0].split("<-")[0] if candidate.targets else ""
-    if target not in problem.joints:
-        return everything
-    width = len(problem.joints)
-    rows = np.arange(problem.joints.index(target), len(fit.residual), width)
-    columns = np.flatnonzero([target in name for name in fit.space.names])
-    return rows, columns if len(columns) else everything[1]
+    """Residual rows and nuisance columns that concern the joints that a candidate acts on; all, where it acts on none."""
+    targets = {target.split("<-")[0] for target in candidate.targets}
+    counted = [number for number, joint in enumerate(problem.joints) if joint in targets]
+    every_column = np.arange(len(fit.unit))
+    if not counted:
+        return np.arange(len(fit.residual)), every_column
+    rows = np.flatnonzero(np.isin(np.arange(len(fit.residual)) % len(problem.joints), counted))
+    columns = np.flatnonzero([any(target in name for target in targets) for name in fit.space.names])
+    return rows, columns if len(columns) else every_column
 
 
 def confirm(problem: Problem, fit: Fit, scored: Scored, base: Projection, total: float) -> Scored | None:
