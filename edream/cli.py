@@ -106,6 +106,35 @@ def dream(overrides: Overrides = None, conf: Conf = None, json: Json = False) ->
     run("dream", ("score", "report"), [*(overrides or []), "report.of=dream"], conf, json)
 
 
+@_command("evaluate")
+def train_policy(overrides: Overrides = None, conf: Conf = None, json: Json = False) -> None:
+    """Train a policy on demonstrations, let it learn from its own trials in the calibrated simulator, and say how often it
+    succeeds in the stand-in reality.
+
+    Example: `edream train-policy robot=arm6 task=grab_paper_cup data=demonstrations/ seed=3`
+    """
+    run("train-policy", ("evaluate", "report"), [*(overrides or []), "report.of=evaluate"], conf, json)
+
+
+@_command("evaluate")
+def export_policy(
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="The new folder.")],
+    of: Annotated[str, typer.Option("--of", metavar="STAGE", help="Whose policy: rl or sft.")] = "rl",
+    overrides: Overrides = None,
+    conf: Conf = None,
+    json: Json = False,
+) -> None:
+    """Train a policy where that is not done, then write it as a folder to take to a robot: weights, scales and a loop to start from.
+
+    Example: `edream export-policy --out policy/ robot=arm6 task=grab_paper_cup data=demonstrations/`
+    """
+    from edream import cli_data
+
+    cfg = _compose(overrides, conf)
+    with _stdout_for_json(json) as write:
+        cli_data.export_policy(cfg, of, out, write if json else None)
+
+
 @_command("replay")
 def replay(
     model: Annotated[Path, typer.Option("--model", metavar="M.xml", help="The MJCF to judge.")],

@@ -34,6 +34,19 @@ def export_episodes(cfg: DictConfig, to: str, out: Path, write: Write) -> None:
     _print(export(made["ingest"], to, out) | {"run": str(run.absolute())}, write)
 
 
+def export_policy(cfg: DictConfig, of: str, out: Path, write: Write) -> None:
+    """Train a policy where that is not done, then write it as a folder of its own."""
+    from edream.core.errors import EdreamError, unknown_name
+    from edream.practice.bundle import write_bundle
+
+    if of not in ("sft", "rl"):
+        raise unknown_name("policy", of, ("sft", "rl"))
+    if out.exists():
+        raise EdreamError(f"There is already something at {out}; --out must name a new folder.")
+    made, run = pipeline.make_run("export-policy", (of,), cfg)
+    _print(write_bundle(made[of], out) | {"run": str(run.absolute())}, write)
+
+
 def _print(summary: Mapping[str, Any], write: Write) -> None:
     if write is not None:
         write(json_.dumps(summary, indent=2))

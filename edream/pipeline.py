@@ -128,8 +128,8 @@ def under(cfg: DictConfig, need: str) -> DictConfig:
     """The config under which a need is made."""
     changed = cfg.copy()
     for setting in need.split(" ")[1:]:
-        name, _, value = setting.partition("=")
-        OmegaConf.update(changed, name, value)
+        name, _, _ = setting.partition("=")
+        OmegaConf.update(changed, name, OmegaConf.select(OmegaConf.from_dotlist([setting]), name))
     return changed
 
 
@@ -218,10 +218,13 @@ class _Maker:
     def elsewhere(self, cfg: DictConfig) -> "_Maker":
         """The maker under another config, which knows what was made already and would be the same there."""
 
-        def same(name: str) -> bool:
+        def same(name: str, above: frozenset[str] = frozenset()) -> bool:
+            if name in above:  # a stage may need itself under other settings, as rounds of learning do
+                return True
             entry = stage(name)
             settings = config.read(cfg, entry.config)
-            return settings == config.read(self.cfg, entry.config) and all(map(same, map(stage_of, entry.needs_for(settings))))
+            needs = map(stage_of, entry.needs_for(settings))
+            return settings == config.read(self.cfg, entry.config) and all(same(need, above | {name}) for need in needs)
 
         kept = {need: one for need, one in self.made.items() if need == one.stage and same(need)}
         return _Maker(cfg, self.store, self.places, kept)

@@ -87,7 +87,7 @@ def allowed(module: str, target: str) -> bool:
     if home == "stages":
         return to in {"core", "sim", "learn", "report", "catalog", "reality"} | METHODS or target == module
     if home in METHODS:
-        return to in {"core", "catalog", "sim", "learn", home} | ({"vision"} if home == "practice" else set())
+        return to in {"core", "catalog", "sim", "learn", home} | ({"vision", "calibration"} if home == "practice" else set())
     right = MAY_IMPORT[home]
     return to in right or target in right
 

@@ -19,7 +19,7 @@ class PreferenceOptions:
         clip: how far a ratio may move before it stops to count (grpo).
     """
 
-    beta: float = 0.05
+    beta: float = 0.005
     alpha: float = 1.0
     clip: float = 0.2
 
@@ -61,6 +61,10 @@ class Preference(ABC):
     name: str
     summary: str
     pairs: bool
+
+    def steepness(self, judged: Judged, options: PreferenceOptions) -> float:
+        """How fast the loss can change with the mean of |a - mu| / b; whoever adds other losses divides by it."""
+        return 1.0
 
     @abstractmethod
     def loss(self, judged: Judged, options: PreferenceOptions) -> Float[Tensor, ""]:

@@ -126,7 +126,8 @@ class ActNetwork(FittedPolicy):
     def style(self, seen: Seen, actions: Tensor, valid: Tensor) -> tuple[Float[Tensor, "B Z"], Float[Tensor, "B Z"]]:
         """Mean and log-variance of z given what was done."""
         x = torch.cat(
-            [self.first.expand(len(seen), 1, -1), self.posterior_joints(seen.joints)[:, None], self.posterior_actions(actions)], dim=1
+            [self.first.expand(len(seen), 1, -1), self.posterior_joints(seen.joints)[:, None], self.posterior_actions(actions)],
+            dim=1,
         )
         padded = torch.cat([torch.zeros_like(valid[:, :1]).expand(-1, 2), ~valid], dim=1)
         for layer in self.posterior:

@@ -1,4 +1,4 @@
-"""What must be known of a trained policy besides its weights: sizes, cameras, scales. The same words in the store and in a bundle."""
+"""What must be known of a trained policy besides its weights: sizes, cameras, scales; the same in the store and in a bundle."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -72,7 +72,9 @@ class PolicyAbout:
 
     def plain(self) -> dict[str, Any]:
         """As JSON has it."""
-        values = {name: getattr(self, name) for name in ("kind", "options", "order", "cameras", "rate", "stride", "ensemble", "spread")}
+        values = {
+            name: getattr(self, name) for name in ("kind", "options", "order", "cameras", "rate", "stride", "ensemble", "spread")
+        }
         scales = {
             name: {"mean": getattr(self, name).mean.tolist(), "spread": getattr(self, name).spread.tolist()}
             for name in ("joints", "actions", "state")

@@ -31,9 +31,7 @@ class Shake:
             require(getattr(self, name) >= 0, f"sft.shake.{name}", getattr(self, name), "0 or more")
 
 
-def shaken(
-    images: UInt8[np.ndarray, "B V H W 3"], shake: Shake, rng: np.random.Generator
-) -> UInt8[np.ndarray, "B V H W 3"]:
+def shaken(images: UInt8[np.ndarray, "B V H W 3"], shake: Shake, rng: np.random.Generator) -> UInt8[np.ndarray, "B V H W 3"]:
     """Changed images; numbers are drawn in a fixed order, so the same generator gives the same bytes."""
     count = len(images)
     gain = 1.0 + shake.contrast * rng.standard_normal((count, 1, 1, 1, 1), np.float32)

@@ -68,6 +68,10 @@ class Eyes(Protocol):
         """Camera name -> image, as the policy is shown it."""
         ...
 
+    def cameras(self, world: World) -> tuple[str, ...]:
+        """What there is to be seen."""
+        ...
+
 
 class OwnEyes:
     """The world's own images: the raw render of a simulator, the camera of a real robot."""
@@ -77,6 +81,9 @@ class OwnEyes:
 
     def look(self, world: World, observation: Observation) -> Mapping[str, np.ndarray]:
         return observation.images
+
+    def cameras(self, world: World) -> tuple[str, ...]:
+        return world.cameras
 
 
 class Plans:
@@ -122,7 +129,7 @@ def play(
     Raises:
         EdreamError: the world does not suit the policy.
     """
-    check(world, about)
+    check(world, about, eyes.cameras(world))
     chance = chance or Chance()
     rng = np.random.default_rng((seed, start, sample))
     noise = StartNoise(chance.joints, chance.objects, int(rng.integers(2**31)))
@@ -134,7 +141,7 @@ def play(
     joints, images, states, actions = [], [], [], []
     for step in range(steps):
         if film is not None:
-            film.append(dict(observation.images))
+            film.append(dict(eyes.look(world, observation)) if eyes.cameras(world) else {})
         if step % about.stride == 0:
             row = _row(world, observation, eyes, about)
             for kept, value in zip((joints, images, states), row, strict=True):
@@ -154,13 +161,15 @@ def _row(world: World, observation: Observation, eyes: Eyes, about: PolicyAbout)
     """Joints, images and state as the policy sees them now."""
     size = (about.shape.height, about.shape.width)
     found = eyes.look(world, observation) if about.cameras else {}
-    images = np.stack([resized(found[name], *size) for name in about.cameras]) if about.cameras else np.zeros((0, *size, 3), np.uint8)
+    images = (
+        np.stack([resized(found[name], *size) for name in about.cameras]) if about.cameras else np.zeros((0, *size, 3), np.uint8)
+    )
     return observation.joints, images, state_of(world.state()) if about.shape.state else np.zeros(0)
 
 
 def state_of(poses: Mapping[str, Float[np.ndarray, "7"]]) -> Float[np.ndarray, "S"]:
-    """Poses of all objects as one vector: by name, place and the first two columns of the rotation (which, unlike a quaternion, does
-    not jump)."""
+    """Poses of all objects as one vector: by name, place and the first two columns of the rotation, which a quaternion's sign does not
+    touch."""
     rows = []
     for name in sorted(poses):
         w, x, y, z = poses[name][3:] / np.linalg.norm(poses[name][3:])
@@ -170,18 +179,20 @@ def state_of(poses: Mapping[str, Float[np.ndarray, "7"]]) -> Float[np.ndarray, "
     return np.concatenate(rows) if rows else np.zeros(0)
 
 
-def check(world: World, about: PolicyAbout) -> None:
+def check(world: World, about: PolicyAbout, cameras: tuple[str, ...]) -> None:
     """Refuse a world that a policy was not made for.
 
     Raises:
         EdreamError: number of actuators, rate or cameras differ.
     """
     if world.actions != about.shape.actions:
-        raise EdreamError(f"The world has {world.actions} actuators and the policy {about.shape.actions} actions; expected as many.")
+        raise EdreamError(
+            f"The world has {world.actions} actuators and the policy {about.shape.actions} actions; expected as many."
+        )
     if abs(world.rate - about.rate) > 0.02 * about.rate:
         raise EdreamError(
             f"The world steps at {world.rate:g} Hz and the policy at {about.rate:g} Hz; train it with policy.rate={world.rate:g}."
         )
     for camera in about.cameras:
-        if camera not in world.cameras:
-            raise unknown_name("camera in the world:", camera, world.cameras)
+        if camera not in cameras:
+            raise unknown_name("camera in the world:", camera, cameras)

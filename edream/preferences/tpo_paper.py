@@ -14,6 +14,9 @@ class TpoPaper(Preference):
     summary = "Trajectory preference optimisation as published: no anchor."
     pairs = True
 
+    def steepness(self, judged: Judged, options: PreferenceOptions) -> float:
+        return options.beta * float(judged.size.mean())
+
     def loss(self, judged: Judged, options: PreferenceOptions) -> Float[Tensor, ""]:
         gap = judged.ratio[judged.chosen] - judged.ratio[judged.rejected]
         return -logsigmoid(options.beta * gap).mean()

@@ -1,4 +1,4 @@
-"""Report: one self-contained page about a calibration, a diagnosis or dreamed video."""
+"""Report: one self-contained page about a calibration, a diagnosis, dreamed video or a policy."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -11,6 +11,7 @@ from edream.core.stage import Artifact, Bundle, Stage, Work
 from edream.report.calibration import calibration_page
 from edream.report.diagnosis import diagnosis_page
 from edream.report.dream import dream_page
+from edream.report.policy import policy_page
 
 PAGE = "report.html"
 DREAM = ("score", "dream", "condition", "masks", "render", "camera", "ingest")
@@ -18,9 +19,9 @@ DREAM = ("score", "dream", "condition", "masks", "render", "camera", "ingest")
 
 @dataclass(frozen=True)
 class ReportOptions:
-    """What the page is about: the stage `fit`, `diagnose` or `dream`."""
+    """What the page is about: the stage `fit`, `diagnose`, `dream` or `evaluate`."""
 
-    of: Literal["fit", "diagnose", "dream"]
+    of: Literal["fit", "diagnose", "dream", "evaluate"]
 
 
 @dataclass(frozen=True)
@@ -46,6 +47,13 @@ class ReportedRender:
 
 
 @dataclass(frozen=True)
+class ReportedPolicies:
+    """Of the evaluation it counts which policies were judged."""
+
+    of: tuple[str, ...] = ("sft", "rl")
+
+
+@dataclass(frozen=True)
 class ReportConfig:
     """What report reads."""
 
@@ -53,6 +61,7 @@ class ReportConfig:
     robot: ReportedRobot
     fit: ReportedFit
     render: ReportedRender = ReportedRender()
+    evaluate: ReportedPolicies = ReportedPolicies()
 
 
 def needs(config: ReportConfig) -> tuple[str, ...]:
@@ -61,6 +70,8 @@ def needs(config: ReportConfig) -> tuple[str, ...]:
         return ("diagnose", "ingest")
     if config.report.of == "dream":
         return tuple(name for name in DREAM if name != "camera" or config.render.model != "none")
+    if config.report.of == "evaluate":
+        return ("evaluate", "ingest", *dict.fromkeys(["sft", *config.evaluate.of]))
     others = [method for method in dict.fromkeys(config.fit.compare) if method != config.fit.method]
     beside = [f"{need} fit.method={method}" for method in others for need in _fit_by(method)]
     return (*_fit_by(config.fit.method), "ingest", *beside)
@@ -77,6 +88,8 @@ def run(inputs: Mapping[str, Artifact], config: ReportConfig, work: Work) -> Bun
         return {PAGE: diagnosis_page(inputs["diagnose"], inputs["ingest"], robot)}
     if config.report.of == "dream":
         return {PAGE: dream_page(inputs, robot)}
+    if config.report.of == "evaluate":
+        return {PAGE: policy_page(inputs, robot)}
     return {PAGE: calibration_page(inputs["fit"], inputs["ingest"], inputs.get("surrogate"), robot, methods(inputs))}
 
 

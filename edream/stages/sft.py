@@ -50,7 +50,8 @@ def run(inputs: Mapping[str, Artifact], config: SftConfig, work: Work) -> Bundle
     size = sum(array.size for array in weights.values())
     summary = {
         "sentence": f"{config.policy.kind} with {size / 1e6:.2f} M parameters learned from {len(taught)} demonstrations "
-        f"({steps} steps); off by {curve[best]['l1']:.4f} spreads on {len(held)} held-out ones, best after step {curve[best]['step']}.",
+        f"({steps} steps); off by {curve[best]['l1']:.4f} spreads on {len(held)} held-out ones, best after step "
+        f"{curve[best]['step']}.",
         "parameters": size,
         "demonstrations": len(taught),
         "heldout": sorted(made[number].name for number in held),
@@ -64,9 +65,7 @@ def run(inputs: Mapping[str, Artifact], config: SftConfig, work: Work) -> Bundle
     return {WEIGHTS: weights, ABOUT: about.plain(), "summary.json": summary, "losses.json": {"train": losses, "heldout": curve}}
 
 
-def _trained(
-    about: PolicyAbout, batches: ChunkBatches, judge: ChunkBatches, config: SftConfig, work: Work
-) -> Sequence[Artifact]:
+def _trained(about: PolicyAbout, batches: ChunkBatches, judge: ChunkBatches, config: SftConfig, work: Work) -> Sequence[Artifact]:
     """Every piece of the training, one after another, each from where the last one ended."""
     device = device_of(config.policy.device)
     network = about.network(seed=config.seed).to(device)

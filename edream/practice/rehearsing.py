@@ -1,0 +1,206 @@
+"""The trials of one stage in the calibrated simulator: which physics, whose eyes, which starts."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from edream.calibration.settings import SpaceSettings, simulated_robot
+from edream.core.camera import from_json
+from edream.core.errors import EdreamError, require
+from edream.practice.about import PolicyAbout
+from edream.practice.collecting import Shard, split
+from edream.practice.trial import Chance
+from edream.practice.worlds import CompositeEyes, RawEyes, Workcell, open_workcell
+from edream.sim.emit import emit
+from edream.sim.robot import RobotModel
+
+HOOK = "hook.py"
+
+
+@dataclass(frozen=True)
+class RolloutOptions:
+    """Trials in the simulator; see `conf/rollouts/default.yaml` for each.
+
+    Attributes:
+        model: whose physics: fit, diagnose or published.
+        eyes: what the policy is shown: raw, composite, dreamed or state (nothing but numbers).
+        starts: how many starts, each of which is tried `samples` times.
+        first: number of the first start.
+        samples: trials of a start.
+        draws: physics drawn from the calibrated posterior; 0 for the calibrated values alone.
+        grip: largest relative change of contact friction between draws.
+        noise: what else is left to chance.
+        shard: trials that one process plays before it hands them in.
+        supersampling: images are rendered so many times larger and averaged.
+    """
+
+    model: Literal["fit", "diagnose", "published"] = "fit"
+    eyes: Literal["raw", "composite", "dreamed", "state"] = "raw"
+    starts: int = 60
+    first: int = 10000
+    samples: int = 4
+    draws: int = 4
+    grip: float = 0.2
+    noise: Chance = field(default_factory=Chance)
+    shard: int = 12
+    supersampling: int = 1
+
+    def __post_init__(self) -> None:
+        require(self.starts >= 1, "rollouts.starts", self.starts, "at least 1")
+        require(self.samples >= 2, "rollouts.samples", self.samples, "at least 2, for one to be better than another")
+        require(self.shard >= 1, "rollouts.shard", self.shard, "at least 1")
+        require(self.draws >= 0, "rollouts.draws", self.draws, "0 or more")
+        require(0.0 <= self.grip < 1.0, "rollouts.grip", self.grip, "a share, 0 to below 1")
+
+
+@dataclass(frozen=True, eq=False)
+class Physics:
+    """One simulated robot: MJCF, hook file and grip."""
+
+    mjcf: str
+    hook: Path | None
+    grip: float
+
+
+def needs_of(model: str, eyes: str) -> tuple[str, ...]:
+    """Stages that trials with this physics and these eyes need."""
+    physics = () if model == "published" else (model,)
+    return physics + {"composite": ("camera", "masks"), "dreamed": ("camera", "condition", "dream")}.get(eyes, ())
+
+
+def physics_of(robot: RobotModel, made: Mapping[str, Any] | None, folder: Path) -> Physics:
+    """The robot as published, or as a fit or a diagnosis left it.
+
+    Args:
+        made: file name -> value, as the stage made it; None for the published robot.
+        folder: takes the hook file.
+    """
+    if made is None:
+        return Physics(robot.mjcf, None, 1.0)
+    about = made["summary.json"]
+    hook = None
+    if about.get("hook"):
+        hook = folder / HOOK
+        hook.write_text(made[about["hook"]])
+    return Physics(made[about["model"]], hook, 1.0)
+
+
+def physics_for(
+    robot: RobotModel, inputs: Mapping[str, Any], settings: SpaceSettings, options: RolloutOptions, folder: Path, seed: int
+) -> list[Physics]:
+    """The robots that trials are spread over: drawn from a fit's posterior where that is asked for, else one.
+
+    Raises:
+        EdreamError: something else than a fit is to be drawn from.
+    """
+    if options.draws and options.model == "fit":
+        return drawn_physics(robot, inputs["fit"], settings, options, folder, seed)
+    one = physics_of(robot, inputs.get(options.model), folder)
+    rng = np.random.default_rng((seed, 0xF18))
+    return [replace(one, grip=float(1.0 + options.grip * rng.uniform(-1.0, 1.0))) for _ in range(options.draws)] or [one]
+
+
+def drawn_physics(
+    robot: RobotModel, made: Mapping[str, Any], settings: SpaceSettings, options: RolloutOptions, folder: Path, seed: int
+) -> list[Physics]:
+    """Robots drawn from what a fit knows: every parameter within its interval, the grip by its share.
+
+    Raises:
+        EdreamError: the fit's parameters are not those of the config.
+    """
+    simulated = simulated_robot(robot, settings)
+    estimates = made["summary.json"]["parameters"]
+    if set(estimates) != set(simulated.space.names):
+        raise EdreamError("The fit's parameters are not those of fit.effects; run edream calibrate with the same settings.")
+    found = []
+    for number in range(options.draws):
+        rng = np.random.default_rng((seed, 0xF17, number))
+        values = np.array([_drawn(estimates[name], rng) for name in simulated.space.names])
+        model = emit(simulated, values)
+        hook = None
+        if model.hook:
+            hook = folder / f"hook_{number}.py"
+            hook.write_text(model.hook)
+        found.append(Physics(model.mjcf, hook, float(1.0 + options.grip * rng.uniform(-1.0, 1.0))))
+    return found
+
+
+def _drawn(estimate: Mapping[str, Any], rng: np.random.Generator) -> float:
+    low, high = estimate["interval"]
+    value = estimate["value"] + (high - low) / (2 * 1.96) * rng.standard_normal()
+    return float(np.clip(value, low, high))
+
+
+def cell_of(
+    robot: RobotModel, physics: Physics, task: str, about: PolicyAbout, options: RolloutOptions, inputs: Mapping[str, Any]
+) -> Workcell:
+    """The workcell with this physics, seen as the eyes need it."""
+    size, cameras, placed = (about.shape.height, about.shape.width), about.cameras, None
+    if options.eyes in ("composite", "dreamed"):
+        found = from_json(inputs["camera"]["cameras.json"], "cameras.json")
+        if len(cameras) != 1 or cameras[0] not in found:
+            raise EdreamError(
+                f"rollouts.eyes={options.eyes} is for policies with one camera, {', '.join(found)}; this one has "
+                f"{', '.join(cameras) or 'none'}: give policy.cameras."
+            )
+        placed = {cameras[0]: found[cameras[0]]}
+        size = image_size(inputs)
+    return Workcell(
+        robot.name,
+        physics.mjcf,
+        task,
+        about.rate,
+        cameras if options.eyes != "state" else (),
+        *size,
+        dict(robot.assets),
+        robot.site,
+        physics.hook,
+        placed,
+        physics.grip,
+        options.supersampling,
+    )
+
+
+def image_size(inputs: Mapping[str, Any]) -> tuple[int, int]:
+    """Size of the background plate [pixel]."""
+    plate = plate_image(inputs)
+    return plate.shape[0], plate.shape[1]
+
+
+def plate_image(inputs: Mapping[str, Any]) -> np.ndarray:
+    """The background of the recordings, (H, W, 3)."""
+    import cv2
+
+    source = inputs["masks"] if "masks" in inputs else inputs["condition"]
+    image = cv2.imdecode(np.frombuffer(source["plate.png"], np.uint8), cv2.IMREAD_COLOR)
+    return np.ascontiguousarray(image[..., ::-1])
+
+
+def open_composite(plate: np.ndarray) -> CompositeEyes:
+    """For other processes."""
+    return CompositeEyes(plate)
+
+
+def open_raw() -> RawEyes:
+    """For other processes."""
+    return RawEyes()
+
+
+def shards_of(cells: Sequence[Workcell], starts: range, samples: int, size: int) -> list[Shard]:
+    """Every start tried so many times; the trials of one start are spread over the cells."""
+    turns: list[list[tuple[int, int]]] = [[] for _ in cells]
+    for start in starts:
+        for sample in range(samples):
+            turns[(start + sample) % len(cells)].append((start, sample))
+    return [
+        Shard(partial(open_workcell, cell), piece) for cell, some in zip(cells, turns, strict=True) for piece in split(some, size)
+    ]
+
+
+def calm(options: RolloutOptions) -> RolloutOptions:
+    """The same without chance, for judging."""
+    return replace(options, draws=0, noise=Chance())

@@ -1,0 +1,140 @@
+"""The report of a policy: how often it succeeds, in the paper's form of table, and how it came to that."""
+
+import base64
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from markupsafe import Markup
+from matplotlib.figure import Figure as Canvas
+
+from edream.report.page import AFTER, BEFORE, COMMAND, Figure, draw, page
+from edream.report.recordings import about_recordings
+
+
+def policy_page(made: Mapping[str, Mapping[str, Any]], robot: str) -> str:
+    """The page as HTML.
+
+    Args:
+        made: stage -> file name -> value, of ingest, sft, evaluate and, where there was one, rl.
+        robot: what to call it.
+    """
+    judged, sft = made["evaluate"], made["sft"]
+    summary = judged["summary.json"]
+    rows = summary["rates"]
+    history = made["rl"]["history.json"] if "rl" in made else []
+    outcomes = {(row["policy"], row["start"]): row["success"] for row in judged["outcomes.parquet"].to_pylist()}
+    content = {
+        "title": f"{summary['task']} on {robot}",
+        "sentence": summary["sentence"],
+        "tiles": [(row["name"], f"{100 * row['success']['share']:.1f}", "% success") for row in rows]
+        + [("starts", str(summary["starts"]), "each, the same for all")],
+        "task": summary["task"],
+        "rows": [_row(row) for row in rows],
+        "rates": _rates(rows),
+        "films": _films(judged, outcomes, rows),
+        "curves": [one for one in (_supervised(sft["losses.json"]), _rounds(history), _ratios(made)) if one],
+        "history": history,
+        "stages": [made[name]["summary.json"]["sentence"] for name in ("sft", "rl") if name in made],
+        "recordings": about_recordings(made["ingest"]),
+    }
+    return page("policy.html.j2", content)
+
+
+def _row(row: Mapping[str, Any]) -> dict[str, str]:
+    return {
+        "name": row["name"],
+        "success": _rate(row["success"]),
+        "grasp": _rate(row["grasp"]) if row["grasp"] else "–",
+        "distance": f"{100 * row['distance_m']:.1f}",
+        "trials": f"{row['success']['successes']} of {row['success']['trials']}",
+    }
+
+
+def _rate(one: Mapping[str, Any]) -> str:
+    low, high = one["interval"]
+    return f"{100 * one['share']:.1f} [{100 * low:.1f}, {100 * high:.1f}]"
+
+
+def _rates(rows: Sequence[Mapping[str, Any]]) -> Figure:
+    def plot(canvas: Canvas) -> None:
+        axis = canvas.subplots()
+        for place, row in enumerate(reversed(rows)):
+            for what, colour, shift in (("success", AFTER, 0.12), ("grasp", COMMAND, -0.12)):
+                one = row[what]
+                if one:
+                    share = 100 * one["share"]
+                    reach = [[share - 100 * one["interval"][0]], [100 * one["interval"][1] - share]]
+                    label = what if place == 0 else None
+                    axis.errorbar([share], [place + shift], xerr=np.abs(reach), fmt="o", color=colour, capsize=3, label=label)
+        axis.set_yticks(range(len(rows)), [row["name"] for row in reversed(rows)])
+        axis.set(xlabel="share of starts [%]", xlim=(0, 100), ylim=(-0.6, len(rows) - 0.4))
+        canvas.legend(loc="outside upper left", ncols=2)
+
+    caption = "Share of starts with Wilson's 95 % interval; intervals that do not overlap tell two policies apart."
+    return draw("rates", "Success and grasp", caption, plot, (8.0, 1.2 + 0.6 * len(rows)), wide=True)
+
+
+def _supervised(losses: Mapping[str, Any]) -> Figure:
+    def plot(canvas: Canvas) -> None:
+        axis = canvas.subplots()
+        taught = np.asarray(losses["train"])
+        width = max(1, len(taught) // 50)
+        axis.plot(
+            np.arange(width, len(taught) + 1), np.convolve(taught, np.ones(width) / width, "valid"), color=COMMAND, label="training"
+        )
+        held = losses["heldout"]
+        axis.plot([one["step"] for one in held], [one["l1"] for one in held], "o-", color=AFTER, label="held out, L1")
+        axis.set_yscale("log")
+        axis.set(xlabel="training step [1]", ylabel="loss [spreads of the actions]")
+        canvas.legend(loc="outside upper left", ncols=2)
+
+    return draw("supervised", "Supervised training", "The weights with the least held-out error are kept.", plot, (5.6, 3.2))
+
+
+def _rounds(history: Sequence[Mapping[str, Any]]) -> Figure | None:
+    if not history:
+        return None
+
+    def plot(canvas: Canvas) -> None:
+        axis = canvas.subplots()
+        places = [0, *(row["round"] for row in history)]
+        axis.plot(
+            places, [100 * history[0]["before"]["success"], *(100 * row["kept"]["success"] for row in history)], "o-", color=AFTER
+        )
+        axis.set(xlabel="round [1]", ylabel="success [%]", ylim=(0, 100), xticks=places)
+
+    caption = "Success on held-out starts in the simulator, nothing left to chance; they decide which weights are kept."
+    return draw("rounds", "Learning from trials", caption, plot, (5.6, 3.2))
+
+
+def _ratios(made: Mapping[str, Mapping[str, Any]]) -> Figure | None:
+    told = made["rl"]["losses.json"] if "rl" in made else []
+    if len(told) < 5:
+        return None
+
+    def plot(canvas: Canvas) -> None:
+        axis = canvas.subplots()
+        width = max(1, len(told) // 30)
+        for name, colour in (("chosen", AFTER), ("rejected", BEFORE)):
+            smooth = np.convolve([row[name] for row in told], np.ones(width) / width, "valid")
+            axis.plot(np.arange(len(smooth)) + width, smooth, color=colour, label=name)
+        axis.set(xlabel="step of the last round [1]", ylabel="log-ratio per number [1]")
+        canvas.legend(loc="outside upper left", ncols=2)
+
+    caption = (
+        "Log-likelihood against the supervised policy. The chosen trials should become likelier; a round stops where they do not."
+    )
+    return draw("ratios", "Chosen and rejected trials", caption, plot, (5.6, 3.2))
+
+
+def _films(judged: Mapping[str, Any], outcomes: Mapping[tuple[str, int], bool], rows: Sequence[Mapping[str, Any]]) -> list[Figure]:
+    found = []
+    for file in sorted(name for name in judged if name.endswith(".png") and "-film-" in name):
+        number, _, start = file.removesuffix(".png").split("-")
+        row = rows[int(number)]
+        title = f"{row['name']}: {'success' if outcomes[row['policy'], int(start)] else 'failure'}"
+        source = base64.b64encode(judged[file]).decode()
+        drawing = Markup('<img class="pixels" alt="{}" src="data:image/png;base64,{}">').format(title, source)
+        found.append(Figure(f"film-{number}-{int(start)}", title, f"Start {int(start)}.", drawing))
+    return found

@@ -1,0 +1,171 @@
+"""Evaluate: how often each policy succeeds where it counts, in the stand-in reality, over starts that nothing was trained on."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from edream import catalog
+from edream.calibration.settings import RobotSettings
+from edream.core.errors import EdreamError, require
+from edream.core.stage import Artifact, Bundle, Source, Stage, Work
+from edream.core.task import Task
+from edream.practice.about import ABOUT, WEIGHTS, PolicyAbout
+from edream.practice.collecting import Manner, Player, Shard, collected, outcomes_of, split
+from edream.practice.rates import Rate, apart, rate
+from edream.reality.cell_look import CellLook
+from edream.reality.truth import Truth, unseal
+from edream.reality.workcell import RealWorkcell
+from edream.sim.camera import graphics
+from edream.sim.robot import RobotModel
+
+NAMES = {"sft": "SFT", "rl": "RL"}
+
+
+@dataclass(frozen=True)
+class EvaluateOptions:
+    """How policies are judged; see `conf/evaluate/default.yaml` for each.
+
+    Attributes:
+        of: stages whose policies are judged; each may change settings, such as "sft policy.options.dim=32" or
+            "rl rollouts.model=published".
+        starts: trials of each.
+        first: number of the first start.
+        films: trials that are filmed.
+        shard: trials that one process plays before it hands them in.
+        truth: the sealed truth of the robot; the one beside the recordings where None.
+    """
+
+    of: tuple[str, ...] = ("sft", "rl")
+    starts: int = 200
+    first: int = 30000
+    films: int = 6
+    shard: int = 10
+    truth: Path | None = None
+
+    def __post_init__(self) -> None:
+        good = bool(self.of) and all(one.split(" ")[0] in NAMES for one in self.of)
+        require(good, "evaluate.of", list(self.of), "sft or rl, each with settings that differ where there are any")
+        require(self.starts >= 1, "evaluate.starts", self.starts, "at least 1")
+        require(self.films >= 0, "evaluate.films", self.films, "0 or more")
+        require(self.shard >= 1, "evaluate.shard", self.shard, "at least 1")
+
+
+@dataclass(frozen=True)
+class Eye:
+    """The cameras of reality, as they recorded the demonstrations."""
+
+    cell: CellLook = field(default_factory=CellLook)
+
+
+@dataclass(frozen=True)
+class EvaluateConfig:
+    """What evaluate reads."""
+
+    robot: RobotSettings
+    task: str
+    data: Path
+    evaluate: EvaluateOptions
+    record: Eye
+    seed: int
+
+    @property
+    def truth(self) -> Path:
+        """Where the truth about the robot is sealed."""
+        return self.evaluate.truth or self.data.with_name(self.data.name + ".truth.json")
+
+
+def open_reality(robot: RobotModel, truth: Truth, task: str, rate: float, look: CellLook | None) -> RealWorkcell:
+    """The stand-in for reality, for other processes."""
+    with graphics():
+        return RealWorkcell(robot, truth, catalog.load("tasks", task, Task), rate, look)
+
+
+def run(inputs: Mapping[str, Artifact], config: EvaluateConfig, work: Work) -> Bundle:
+    """Play every start with every policy, the same starts for all."""
+    options, truth = config.evaluate, unseal(config.truth)
+    robot, tables, rows = config.robot.load(), [], []
+    films: dict[str, bytes] = {}
+    for number, name in enumerate(options.of):
+        about = PolicyAbout.of(inputs[name][ABOUT])
+        look = seen_by(about, config.record.cell)
+        opener = partial(
+            open_reality, RobotModel(robot.name, robot.mjcf, dict(robot.assets), robot.site), truth, config.task, about.rate, look
+        )
+        turns = [(options.first + number, 0) for number in range(options.starts)]
+        filmed = tuple(start for start, _ in turns[: options.films])
+        shards = [Shard(opener, piece, filmed) for piece in split(turns, options.shard)]
+        manner = Manner(seed=config.seed, keep=False)
+        found = collected(work, f"reality-{number}", Player(inputs[name].path(WEIGHTS), inputs[name][ABOUT]), shards, manner)
+        outcomes = outcomes_of(found)
+        tables.append(outcomes.append_column("policy", pa.array([name] * len(outcomes))))
+        rows.append(row_of(name, about, outcomes))
+        for shard in found:
+            films |= {f"{number}-{file}": shard[file] for file in shard if file.startswith("film-") and shard[file]}
+    summary = {"sentence": sentence(rows), "task": config.task, "starts": options.starts, "rates": rows}
+    return films | {"outcomes.parquet": pa.concat_tables(tables), "summary.json": summary}
+
+
+def seen_by(about: PolicyAbout, look: CellLook) -> CellLook | None:
+    """The cameras that a policy needs, as they recorded the demonstrations."""
+    fields = asdict(look) | {"cameras": about.cameras}
+    return CellLook(**fields) if about.cameras else None
+
+
+def label(need: str) -> str:
+    """A policy as the table names it."""
+    name, *changes = need.split(" ")
+    return ", ".join([NAMES[name], *changes])
+
+
+def row_of(name: str, about: PolicyAbout, outcomes: pa.Table) -> dict[str, Any]:
+    """A policy's line of the table: rates with their intervals, and the distance to the target."""
+    grasped = [one for one in outcomes["grasped"].to_pylist() if one is not None]
+    views = f"{len(about.cameras)} view{'s' if len(about.cameras) != 1 else ''}" if about.cameras else "no camera"
+    return {
+        "name": f"{label(name)}, {views}",
+        "policy": name,
+        "success": rate(outcomes["success"].to_pylist()),
+        "grasp": rate(grasped) if grasped else None,
+        "distance_m": float(np.mean(outcomes["distance"].to_numpy())),
+    }
+
+
+def sentence(rows: Sequence[Mapping[str, Any]]) -> str:
+    """The rates, and whether they can be told apart."""
+    told = ", ".join(f"{row['name']} {_percent(row['success'])}" for row in rows)
+    text = f"Success in the stand-in reality over {rows[0]['success'].trials} starts: {told}."
+    if len(rows) > 1:
+        clear = apart(rows[0]["success"], rows[-1]["success"])
+        text += " The intervals do not overlap." if clear else " The intervals overlap: this many starts do not tell them apart."
+    return text
+
+
+def _percent(one: Rate) -> str:
+    return f"{100 * one.share:.1f} % [{100 * one.interval[0]:.1f}, {100 * one.interval[1]:.1f}]"
+
+
+def needs(config: EvaluateConfig) -> tuple[str, ...]:
+    """The policies that are judged."""
+    return tuple(config.evaluate.of)
+
+
+def sources(config: EvaluateConfig) -> Mapping[str, Source]:
+    """The robot and the sealed truth.
+
+    Raises:
+        EdreamError: the truth is not there, as where the recordings are of a real robot.
+    """
+    if not config.truth.is_file():
+        raise EdreamError(
+            f"There is no sealed truth at {config.truth}, so there is no stand-in reality to play in; give evaluate.truth=PATH. "
+            "For a robot of your own write the policy with edream export-policy and run it there."
+        )
+    return {"robot": config.robot.content(), "truth": config.truth}
+
+
+ENTRY = Stage("evaluate", 1, needs, EvaluateConfig, run, sources, ("mujoco", "torch", "numpy", "scipy"))

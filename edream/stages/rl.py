@@ -1,0 +1,195 @@
+"""Rl: the policy learns from its own trials that went better or worse; the weights that do best on held-out starts are kept."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from edream.calibration.settings import RobotSettings, SpaceSettings
+from edream.core.errors import require
+from edream.core.stage import Artifact, Bundle, Source, Stage, Work
+from edream.ingest.stored import stored_episodes
+from edream.learn.checkpoint import weights_digest
+from edream.learn.determinism import deterministic
+from edream.learn.training import AVERAGE, new_state, part, train
+from edream.practice.about import ABOUT, WEIGHTS, PolicyAbout
+from edream.practice.collecting import Manner, Player, collected, outcomes_of
+from edream.practice.demonstrations import ChunkBatches
+from edream.practice.dreaming import eyes_of
+from edream.practice.learning import Lessons, Played, RlOptions, reference_of, shall_stop
+from edream.practice.options import PolicyOptions, SftOptions, device_of
+from edream.practice.ranking import require_pairs
+from edream.practice.rehearsing import RolloutOptions, calm, cell_of, needs_of, physics_for, shards_of
+from edream.practice.sampling import demonstrations, held_out
+from edream.vision.variants import DreamOptions
+
+HISTORY = "history.json"
+
+
+@dataclass(frozen=True)
+class RlPolicy(PolicyOptions):
+    """The policy, and how it learns from trials.
+
+    Attributes:
+        rl: entry of `edream/preferences/`.
+    """
+
+    rl: str = "tpo"
+
+
+@dataclass(frozen=True)
+class RlConfig:
+    """What rl reads."""
+
+    robot: RobotSettings
+    task: str
+    policy: RlPolicy
+    sft: SftOptions
+    rl: RlOptions
+    fit: SpaceSettings
+    rollouts: RolloutOptions
+    dream: DreamOptions
+    seed: int
+
+    def __post_init__(self) -> None:
+        require(self.rl.rounds >= 1, "rl.rounds", self.rl.rounds, "at least 1 for a policy that learned from trials")
+
+
+def needs(config: RlConfig) -> tuple[str, ...]:
+    """The trials and their ranks, the policy that training began with, and what trials of held-out starts need."""
+    return ("ingest", "sft", "rollouts", "rank", *needs_of(config.rollouts.model, config.rollouts.eyes))
+
+
+def run(inputs: Mapping[str, Artifact], config: RlConfig, work: Work) -> Bundle:
+    """Learn in pieces that are kept, try held-out starts after each, keep the best."""
+    rolled, ranking, options = inputs["rollouts"], inputs["rank"], config.rl
+    about = PolicyAbout.of(rolled[ABOUT])
+    names = sorted(name for name in rolled if name.startswith("trials/"))
+    played = Played.of([rolled[name] for name in names], about)
+    require_pairs(ranking["pairs.parquet"], len(played))
+    device = device_of(config.policy.device)
+    with deterministic():
+        first = about.network(_tensors(inputs["sft"][WEIGHTS])).to(device)
+        reference = reference_of(first, played, about, options.likelihood, device)
+        lessons = Lessons(
+            config.policy.rl, options, played, reference, ranking["ranks.parquet"], ranking["pairs.parquet"], config.seed
+        )
+        pieces = _trained(about, lessons, _demonstrations(inputs, about, config, work), rolled, config, work)
+    tried = _tried(pieces, rolled, about, inputs, config, work)
+    best = max(range(len(tried)), key=lambda i: (tried[i]["success"], -tried[i]["distance_m"], -i))
+    weights = rolled[WEIGHTS] if best == 0 else pieces[best - 1][WEIGHTS]
+    told = [row for one in pieces for row in one["told.json"]["steps"]]
+    round_ = options.rounds
+    row = {
+        "round": round_,
+        "trials": len(played),
+        "pairs": len(ranking["pairs.parquet"]),
+        "trial_success": rolled["summary.json"]["success"]["share"],
+        "steps": len(told),
+        "stopped": bool(pieces[-1]["told.json"]["stop"]),
+        "kept_step": 0 if best == 0 else pieces[best - 1]["told.json"]["step"],
+        "before": tried[0],
+        "kept": tried[best],
+        "chosen": told[-1]["chosen"],
+        "rejected": told[-1]["rejected"],
+    }
+    summary = {
+        "sentence": f"Round {round_} of {config.policy.rl}: held-out starts in the simulator from {100 * tried[0]['success']:.0f} % "
+        f"to {100 * tried[best]['success']:.0f} % success.",
+        **row,
+        "weights_digest": weights_digest(weights),
+    }
+    history = [*rolled[HISTORY], row]
+    return {
+        WEIGHTS: weights,
+        ABOUT: rolled[ABOUT],
+        HISTORY: history,
+        "losses.json": told,
+        "tried.json": tried,
+        "summary.json": summary,
+    }
+
+
+def _trained(
+    about: PolicyAbout, lessons: Lessons, batches: ChunkBatches, rolled: Artifact, config: RlConfig, work: Work
+) -> Sequence[Artifact]:
+    """Every piece of the round until the stopping rule holds, each from where the last one ended."""
+    options, device = config.rl, device_of(config.policy.device)
+    network = about.network(_tensors(rolled[WEIGHTS])).to(device)
+
+    def loss_of(step: int) -> torch.Tensor:
+        torch.manual_seed(config.seed * 1_000_003 + step)  # of dropout
+        value = lessons.loss(network, about, step, device)
+        if options.demonstrations:
+            seen, actions, valid, chance = batches.at(step)
+            value = value + options.demonstrations * network.loss(seen.to(device), actions.to(device), valid.to(device), chance)
+        return value
+
+    pieces: list[Artifact] = []
+    for first in range(0, options.train.steps, options.checkpoint):
+        last = min(first + options.checkpoint, options.train.steps)
+
+        def piece(before: Artifact | None, rng: np.random.Generator, first: int = first, last: int = last) -> Bundle:
+            begun = new_state(network) if before is None else before["state.safetensors"]
+            lessons.told.clear()
+            with torch.random.fork_rng(devices=[]):
+                state, _ = train(network, loss_of, begun, first, last, options.train)
+            told = {"step": last, "steps": list(lessons.told), "stop": shall_stop(lessons.told, lessons.entry.pairs)}
+            kept = {name: value.numpy() for name, value in part(state, AVERAGE).items()}
+            return {"state.safetensors": state, WEIGHTS: kept, "told.json": told}
+
+        pieces.append(work.shards(f"train-{first:07d}", [pieces[-1] if pieces else None], piece, parallel=False)[0])
+        if pieces[-1]["told.json"]["stop"]:
+            break
+    return pieces
+
+
+def _tried(
+    pieces: Sequence[Artifact],
+    rolled: Artifact,
+    about: PolicyAbout,
+    inputs: Mapping[str, Artifact],
+    config: RlConfig,
+    work: Work,
+) -> list[dict[str, Any]]:
+    """Held-out starts under the weights that the round began with and those after each piece; nothing is left to chance."""
+    options, robot = calm(config.rollouts), config.robot.load()
+    (physics,) = physics_for(robot, inputs, config.fit, options, work.folder("hooks"), config.seed)
+    cell = cell_of(robot, physics, config.task, about, options, inputs)
+    shards = shards_of([cell], range(config.rl.first, config.rl.first + config.rl.held), 1, options.shard)
+    manner = Manner(seed=config.seed, keep=False, eyes=eyes_of(options, inputs, config.dream, config.seed))
+    found = []
+    for number, path in enumerate([rolled.path(WEIGHTS), *(one.path(WEIGHTS) for one in pieces)]):
+        step = 0 if number == 0 else pieces[number - 1]["told.json"]["step"]
+        outcomes = outcomes_of(collected(work, f"held-{number}", Player(path, rolled[ABOUT]), shards, manner))
+        distance = float(outcomes["distance"].to_numpy().mean())
+        found.append({"step": step, "success": float(np.mean(outcomes["success"].to_pylist())), "distance_m": distance})
+    return found
+
+
+def _demonstrations(inputs: Mapping[str, Artifact], about: PolicyAbout, config: RlConfig, work: Work) -> ChunkBatches:
+    """The demonstrations that supervised training saw."""
+    episodes = list(stored_episodes(inputs["ingest"])) if config.rl.demonstrations else []
+    folder: Path = work.folder("images")
+    if not episodes:
+        return ChunkBatches([], about, config.sft.batch, config.seed)
+    made, _, _ = demonstrations(episodes, about.order, config.policy, folder)
+    held = held_out(len(made), config.sft.held, config.seed)
+    return ChunkBatches(
+        [one for n, one in enumerate(made) if n not in held], about, config.sft.batch, config.seed, config.sft.shake
+    )
+
+
+def _tensors(weights: Mapping[str, np.ndarray]) -> dict[str, torch.Tensor]:
+    return {name: torch.from_numpy(np.array(array)) for name, array in weights.items()}
+
+
+def sources(config: RlConfig) -> Mapping[str, Source]:
+    found: dict[str, Any] = {"robot": config.robot.content()}
+    return found | ({"objects": config.policy.objects} if config.policy.objects else {})
+
+
+ENTRY = Stage("rl", 1, needs, RlConfig, run, sources, ("mujoco", "torch", "numpy"))
