@@ -112,7 +112,7 @@ def _take(world: RealWorkcell, expert: Expert, start: int, attempt: int, number:
             images[name].append(image)
         for name, pose in world.state().items():
             poses[name].append(pose)
-        commands.append(np.clip(expert.act(seen), world.low, world.high))
+        commands.append(np.clip(expert.act(seen, world.hand()), world.low, world.high))
         seen = world.step(commands[-1])
     if not world.outcome().success:
         return None

@@ -36,6 +36,6 @@ def played(world: World, name: str, chore: str, starts: range) -> list[bool]:
         seen = world.reset(start)
         expert.begin(world.scene.layout, start)  # type: ignore[attr-defined]
         for _ in range(world.steps):
-            seen = world.step(expert.act(seen))
+            seen = world.step(expert.act(seen, world.hand()))  # type: ignore[attr-defined]
         out.append(world.outcome().success)
     return out

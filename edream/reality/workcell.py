@@ -110,6 +110,11 @@ class RealWorkcell(World):
         self.scene.see(self.state(), data.site_xpos[self._hand].copy(), found)
         return self._observe()
 
+    def hand(self) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]]:
+        """Privileged: where the working hand is [m], and its axes as columns."""
+        data = self.session.data
+        return data.site_xpos[self._hand].copy(), data.site_xmat[self._hand].reshape(3, 3).copy()
+
     def outcome(self) -> Outcome:
         return self.task.outcome(self.scene)
 

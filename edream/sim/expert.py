@@ -7,7 +7,7 @@ from jaxtyping import Float
 from edream.core.bench import Bench
 from edream.core.policy import Observation
 from edream.core.task import Layout, Task, Waypoint
-from edream.sim.reach import Reach, reachable
+from edream.sim.reach import Reach, reachable, turn_between
 from edream.sim.robot import RobotModel
 
 PULL = 2.5  # rate at which the expert corrects what it sees [1/s]
@@ -15,7 +15,8 @@ SIGHT = 0.12  # what it sees of its own moves is so old [s]
 NEAR = 0.012  # joints within this of where they should be have arrived [rad]
 PATIENCE = 0.8  # longest wait for that [s]
 FAR = 0.3  # a turn of the hand beyond which it does not keep to a line [rad]
-FURTHEST = 0.15  # largest correction of a joint [rad]
+FURTHEST = 0.4  # largest correction of a joint [rad]
+Hand = tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]]
 
 
 class Expert:
@@ -60,10 +61,18 @@ class Expert:
         """Whether the plan has come to its end."""
         return self.index >= len(self.waypoints)
 
-    def act(self, seen: Observation) -> Float[np.ndarray, "A"]:
-        """Commands for the next step; at the end of the plan the last ones are held."""
-        measured = seen.joints[self.columns_now[:-1]]
-        lag = self.past[0] - measured
+    def act(self, seen: Observation, hand: Hand | None = None) -> Float[np.ndarray, "A"]:
+        """Commands for the next step; at the end of the plan the last ones are held.
+
+        Args:
+            seen: measured joints.
+            hand: where the working hand is and its axes, if the expert can watch it; else it trusts the encoders.
+        """
+        if hand is None:
+            lag = self.past[0] - seen.joints[self.columns_now[:-1]]
+        else:
+            pos, turn = self.reaches[self.arm].pose(self.past[0])
+            lag = self.reaches[self.arm].towards(self.past[0], pos - hand[0], turn_between(hand[1], turn))
         self.off = np.clip(self.off + PULL / self.rate * lag, -FURTHEST, FURTHEST)
         self._advance(float(np.abs(lag).max()))
         goal = self.goal if self.done else self.waypoints[self.index]

@@ -41,15 +41,24 @@ class Reach:
         q = np.clip(near, self.low, self.high)
         for _ in range(iterations):
             here, axes = self.pose(q)
-            error = np.concatenate([pos - here, TURN * _turn_between(axes, turn)])
+            error = np.concatenate([pos - here, TURN * turn_between(axes, turn)])
             if np.linalg.norm(error) < good:
                 break
-            mujoco.mj_comPos(self.model, self.data)
-            mujoco.mj_jacSite(self.model, self.data, self._jacobian[:3], self._jacobian[3:], self.site)
-            jacobian = self._jacobian[:, self.dof] * np.array([1.0, 1.0, 1.0, TURN, TURN, TURN])[:, None]
-            change = jacobian.T @ np.linalg.solve(jacobian @ jacobian.T + DAMPING * np.eye(6), error)
-            q = np.clip(q + np.clip(change, -MOST, MOST), self.low, self.high)
+            q = np.clip(q + np.clip(self._change(error, DAMPING), -MOST, MOST), self.low, self.high)
         return q
+
+    def towards(
+        self, joints: Float[np.ndarray, "J"], shift: Float[np.ndarray, "3"], turn: Float[np.ndarray, "3"]
+    ) -> Float[np.ndarray, "J"]:
+        """Changes of the joints, about `joints`, that move the hand by a small `shift` [m] and `turn` [rad]."""
+        self.pose(joints)
+        return self._change(np.concatenate([shift, TURN * turn]), 10.0 * DAMPING)
+
+    def _change(self, error: np.ndarray, damping: float) -> np.ndarray:
+        mujoco.mj_comPos(self.model, self.data)
+        mujoco.mj_jacSite(self.model, self.data, self._jacobian[:3], self._jacobian[3:], self.site)
+        jacobian = self._jacobian[:, self.dof] * np.array([1.0, 1.0, 1.0, TURN, TURN, TURN])[:, None]
+        return jacobian.T @ np.linalg.solve(jacobian @ jacobian.T + damping * np.eye(6), error)
 
     def off(self, joints: Float[np.ndarray, "J"], pos: Float[np.ndarray, "3"]) -> float:
         """How far the hand is from `pos` [m]."""
@@ -71,7 +80,8 @@ def reachable(reach: Reach, pos: np.ndarray, turn: np.ndarray, near: np.ndarray,
     return found
 
 
-def _turn_between(now: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+def turn_between(now: Float[np.ndarray, "3 3"], wanted: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3"]:
+    """The turn that takes some axes to others, as a vector [rad]."""
     quat, turn = np.zeros(4), np.zeros(3)
     mujoco.mju_mat2Quat(quat, (wanted @ now.T).ravel())
     mujoco.mju_quat2Vel(turn, quat, 1.0)
