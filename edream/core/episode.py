@@ -48,6 +48,7 @@ class Recording:
         videos: camera name -> images.
         conditions: known facts of this recording (gain, payload, supply voltage), name -> number.
         notes: other facts worth keeping (task text, robot type, source file), name -> text.
+        signals: numbers of no joint, such as the commands of a mobile base, on the measurements' clock, name -> (T, D).
     """
 
     name: str
@@ -63,6 +64,7 @@ class Recording:
     videos: Mapping[str, Video] = field(default_factory=dict)
     conditions: Mapping[str, float] = field(default_factory=dict)
     notes: Mapping[str, str] = field(default_factory=dict)
+    signals: Mapping[str, Float[np.ndarray, "T D"]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +84,7 @@ class Episode:
         videos: camera name -> images.
         conditions: known facts of this recording, name -> number.
         notes: other facts worth keeping, name -> text.
+        signals: numbers of no joint, as stored, on the measurements' clock, name -> (T, D).
     """
 
     name: str
@@ -96,6 +99,7 @@ class Episode:
     videos: Mapping[str, Video] = field(default_factory=dict)
     conditions: Mapping[str, float] = field(default_factory=dict)
     notes: Mapping[str, str] = field(default_factory=dict)
+    signals: Mapping[str, Float[np.ndarray, "T D"]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         t, k, j = len(self.times), len(self.command_times), len(self.joints)
@@ -105,7 +109,7 @@ class Episode:
             "velocity": (self.velocity, (t, j)),
             "effort": (self.effort, (t, j)),
             "enabled": (self.enabled, (k,)),
-        }
+        } | {f"signal {name!r}": (array, (t, *array.shape[1:2])) for name, array in self.signals.items()}
         for what, (array, expected) in shapes.items():
             if array is not None and array.shape != expected:
                 raise EdreamError(f"Episode {self.name!r}: {what} has shape {array.shape}; expected {expected}.")

@@ -18,6 +18,7 @@ from edream.ingest.rows import held_commands, new_folder
 from edream.ingest.video import EncodedFrames, image_size
 
 MAX_FILES = 100_000
+BASE, DEPTH = "base_action", "observations/images_depth"
 
 
 class AlohaHdf5(Format):
@@ -26,7 +27,8 @@ class AlohaHdf5(Format):
     The files carry no clock, so the rate must be given (`ingest.fps`; ALOHA 50, AgileX 30) unless edream wrote them, which
     adds `/timestamps`. Images are raw where they have four dimensions and JPEG where they have two, whatever the attribute
     `compress` says, for it may be absent. Two official readers disagree on whether raw images are RGB or BGR: see
-    `ingest.colour`. The original loader takes real robots' actions one row early: see `ingest.command_shift`.
+    `ingest.colour`. The original loader takes real robots' actions one row early: see `ingest.command_shift`. A mobile base's
+    `/base_action` is kept as a signal; depth images are named and left alone.
     Source: github.com/tonyzhaozh/act, github.com/MarkFzp/act-plus-plus, github.com/agilexrobotics/cobot_magic.
     """
 
@@ -104,8 +106,27 @@ def _read(file: Path, name: str, options: ReadOptions) -> Recording:
             velocity=hdf5_file.table(opened, "observations/qvel"),
             effort=hdf5_file.table(opened, "observations/effort"),
             videos=_videos(opened, file, times, options),
-            notes={"simulated": str(bool(opened.attrs["sim"]))} if "sim" in opened.attrs else {},
+            notes=_notes(opened),
+            signals=_signals(opened, file, len(position)),
         )
+
+
+def _notes(opened: h5py.File) -> dict[str, str]:
+    """Whether it is a simulation's, and what of the file edream does not read."""
+    notes = {"simulated": str(bool(opened.attrs["sim"]))} if "sim" in opened.attrs else {}
+    depth = hdf5_file.entry(opened, DEPTH)
+    left = [f"{DEPTH}/{name}" for name in sorted(depth.keys())] if isinstance(depth, h5py.Group) else []
+    return notes | ({"left_alone": ", ".join(left)} if left else {})
+
+
+def _signals(opened: h5py.File, file: Path, rows: int) -> dict[str, np.ndarray]:
+    """What moves no joint: the base's commands of Mobile ALOHA and AgileX."""
+    base = hdf5_file.table(opened, BASE)
+    if base is None:
+        return {}
+    if len(base) != rows:
+        raise EdreamError(f"{file}: /{BASE} has {len(base)} rows and /observations/qpos {rows}; expected as many.")
+    return {BASE: base}
 
 
 def _times(opened: h5py.File, file: Path, rows: int, options: ReadOptions) -> np.ndarray:
@@ -161,6 +182,8 @@ def _write(recording: Recording, file: Path) -> None:
         out.create_dataset("action", data=command).attrs["channels"] = list(recording.command_channels)
         seen = out.create_group("observations")
         seen.create_dataset("qpos", data=recording.position).attrs["channels"] = list(recording.channels)
+        for name, numbers in recording.signals.items():
+            out.create_dataset(name, data=numbers)
         for what, array in (("qvel", recording.velocity), ("effort", recording.effort)):
             if array is not None:
                 seen.create_dataset(what, data=array)

@@ -22,6 +22,7 @@ from edream.ingest.video import EncodedFrames, encode_image, image_kind
 
 PROFILE = "edream"
 STATES, COMMANDS, SWITCH = "/joint_states", "/joint_commands", "/torque_enable"
+SIGNAL = "/signal"
 CHUNK_BYTES = 4 * 2**20
 SWITCH_SCHEMA = {"title": "edream.TorqueEnable", "type": "object", "properties": {"enabled": {"type": "boolean"}}}
 POSE_SCHEMA = {
@@ -42,7 +43,8 @@ def write_episode(
 ) -> None:
     """Write one episode as one MCAP file that opens in Foxglove and reads back exactly.
 
-    Topics: `/joint_states` and `/joint_commands` (foxglove.JointStates), `/torque_enable` at each change, and for each camera
+    Topics: `/joint_states` and `/joint_commands` (foxglove.JointStates), `/torque_enable` at each change, `/signal/NAME` for
+    numbers of no joint (foxglove.JointStates too, a position for each), and for each camera
     `/camera/NAME/image` (foxglove.CompressedImage; JPEG and PNG of the recording are passed on untouched), `/calibration`,
     `/pose`. Clocks are kept to the nanosecond. Nothing in the file depends on when or where it is written.
 
@@ -106,6 +108,7 @@ def nanoseconds(seconds: Any) -> Any:
 def _facts(writer: Writer, episode: Episode, start: int, provenance: Mapping[str, str], config: Mapping[str, Any]) -> None:
     # the writer leaves empty SummaryOffset groups, which readers refuse, unless there is metadata and an attachment
     about = {"name": episode.name, "joints": json.dumps(list(episode.joints)), "start_ns": str(start)}
+    about |= {"signals": json.dumps(list(episode.signals))} if episode.signals else {}
     writer.add_metadata("episode", about | {"cameras": json.dumps(list(episode.videos))})
     writer.add_metadata("conditions", {name: repr(float(value)) for name, value in sorted(episode.conditions.items())})
     writer.add_metadata("notes", dict(sorted(episode.notes.items())))
@@ -125,6 +128,14 @@ def _joint_rows(writer: Writer, episode: Episode, start: int) -> Iterator[Iterat
     yield _states(
         states, 2, nanoseconds(episode.times) + start, episode.joints, (episode.position, episode.velocity, episode.effort)
     )
+    for name, numbers in episode.signals.items():
+        channel = _channel(writer, f"{SIGNAL}/{name}", schema)
+        yield _states(channel, 3, nanoseconds(episode.times) + start, columns_of(numbers), (numbers, None, None))
+
+
+def columns_of(numbers: np.ndarray) -> tuple[str, ...]:
+    """Names of a signal's columns in an episode file: their places."""
+    return tuple(map(str, range(numbers.shape[1])))
 
 
 def _states(

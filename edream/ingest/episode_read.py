@@ -9,7 +9,7 @@ import numpy as np
 from edream.core.episode import Episode, Recording
 from edream.core.errors import EdreamError
 from edream.ingest import mcap_file
-from edream.ingest.episode_file import COMMANDS, PROFILE, STATES, SWITCH
+from edream.ingest.episode_file import COMMANDS, PROFILE, SIGNAL, STATES, SWITCH
 from edream.ingest.foxglove import read_signals
 from edream.ingest.signals import Signals, rebased, seconds
 
@@ -36,6 +36,7 @@ def read_episode(path: Path) -> Episode:
         videos=recording.videos,
         conditions=recording.conditions,
         notes=recording.notes,
+        signals=recording.signals,
     )
 
 
@@ -56,6 +57,7 @@ def read_recording(path: Path) -> Recording:
         joints = tuple(str(joint) for joint in json.loads(about["joints"]))
         name, start = about["name"], int(about["start_ns"])
         cameras = [str(camera) for camera in json.loads(about["cameras"])]
+        extra = [str(signal) for signal in json.loads(about.get("signals", "[]"))]
         conditions = {key: float(value) for key, value in signals.metadata.get("conditions", {}).items()}
     except (KeyError, ValueError, TypeError, RecursionError) as error:
         raise EdreamError(f"{path} is damaged: its metadata record 'episode' is missing or unreadable ({error}).") from error
@@ -81,6 +83,7 @@ def read_recording(path: Path) -> Recording:
         videos={camera: videos[camera] for camera in cameras},
         conditions=conditions,
         notes=signals.metadata.get("notes", {}),
+        signals={name: _signal(path, signals, name, len(times)) for name in extra},
     )
 
 
@@ -98,6 +101,14 @@ def _table(
     if parts[0] is None:
         raise EdreamError(f"{path} is damaged: topic {topic} lacks positions.")
     return seconds([stamp[LOG] for stamp in rows.stamps], start), parts[0], parts[1], parts[2]
+
+
+def _signal(path: Path, signals: Signals, name: str, rows: int) -> np.ndarray:
+    topic = f"{SIGNAL}/{name}"
+    found = np.array(signals.joints[topic].position, dtype=np.float64) if topic in signals.joints else np.zeros((0, 0))
+    if found.ndim != 2 or len(found) != rows:
+        raise EdreamError(f"{path} is damaged: topic {topic} has numbers of shape {found.shape}; expected {rows} rows.")
+    return found
 
 
 def _held(signals: Signals, times: np.ndarray, start: int) -> np.ndarray | None:

@@ -35,6 +35,7 @@ class Findings:
         unsigned_effort: efforts are recorded as magnitudes.
         torque_off: time without torque [s].
         unmapped: channels that the robot has no joint for.
+        signals: what is kept beside the joints, name -> numbers a row; `left_alone` what is not read.
         previews: camera -> PNG of its first image as read and with red and blue exchanged.
     """
 
@@ -52,6 +53,8 @@ class Findings:
     unsigned_effort: bool = False
     torque_off: float = 0.0
     unmapped: tuple[str, ...] = ()
+    signals: Mapping[str, int] = field(default_factory=dict)
+    left_alone: tuple[str, ...] = ()
     previews: Mapping[str, bytes] = field(default_factory=dict, repr=False)
 
     def sentences(self) -> tuple[str, ...]:
@@ -79,6 +82,11 @@ class Findings:
             said.append(f"Torque is off for {self.torque_off:.2f} s.")
         if self.unmapped:
             said.append(f"Channels that the robot has no joint for: {', '.join(self.unmapped)}.")
+        if self.signals:
+            kept = ", ".join(f"{name} ({count} numbers a row)" for name, count in self.signals.items())
+            said.append(f"Kept beside the joints, and not simulated: {kept}.")
+        if self.left_alone:
+            said.append(f"Left alone: {', '.join(self.left_alone)}.")
         return tuple(said)
 
 
@@ -116,6 +124,8 @@ def find(episode: Episode, ranges: Mapping[str, tuple[float, float]] | None = No
         unsigned_effort=_unsigned(episode),
         torque_off=_torque_off(episode),
         unmapped=tuple(part for part in episode.notes.get("unmapped_channels", "").split(", ") if part),
+        signals={name: numbers.shape[1] for name, numbers in episode.signals.items()},
+        left_alone=tuple(part for part in episode.notes.get("left_alone", "").split(", ") if part),
         previews={name: _preview(video) for name, video in episode.videos.items()},
     )
 

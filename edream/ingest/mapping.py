@@ -88,6 +88,7 @@ def map_recording(recording: Recording, joints: tuple[str, ...], mapping: Mappin
         videos={name: _moved(video, start) for name, video in recording.videos.items()},
         conditions=dict(recording.conditions),
         notes=notes,
+        signals=dict(recording.signals),
     )
 
 

@@ -19,9 +19,10 @@ from edream.core.errors import EdreamError
 from edream.core.format import Malformed, ReadOptions
 from edream.ingest.episode_file import write_episode
 from edream.ingest.episode_read import read_episode
+from edream.ingest.findings import find
 from edream.ingest.index import file_name, index_row, read_index, write_index
 from edream.ingest.lerobot_write import export_lerobot
-from edream.ingest.mapping import MappingConfig
+from edream.ingest.mapping import MappingConfig, map_recording
 from edream.ingest.recordings import ingest_recordings, read_recordings
 from tests.recordings import make_sample, sample_episode
 
@@ -201,6 +202,22 @@ def test_aloha_needs_a_rate_and_swaps_colours_when_told(tmp_path: Path) -> None:
     assert not isinstance(rgb, Malformed) and not isinstance(bgr, Malformed)
     first, second = (next(iter(one.videos["cam_high"].frames())) for one in (rgb, bgr))
     np.testing.assert_array_equal(first, second[:, :, ::-1])
+
+
+def test_a_mobile_base_is_kept_as_a_signal_and_depth_is_named_as_left_alone(tmp_path: Path) -> None:
+    path = make_sample("aloha_hdf5", tmp_path)
+    with h5py.File(path / "episode_0.hdf5", "a") as file:
+        base = np.random.default_rng(0).normal(size=(len(file["action"]), 2)).astype(np.float32)
+        file["base_action"] = base
+        file["observations/images_depth/cam_high"] = np.zeros((len(base), 4, 6), np.uint16)
+    (found,) = read_recordings(path)
+    assert not isinstance(found, Malformed)
+    episode = map_recording(found, ("lift", "turn"), MappingConfig(by="order"))
+    write_episode(episode, tmp_path / "out.mcap")
+    again = read_episode(tmp_path / "out.mcap")
+    np.testing.assert_array_equal(again.signals["base_action"], base)
+    said = " ".join(find(again).sentences())
+    assert "base_action (2 numbers a row)" in said and "Left alone: observations/images_depth/cam_high." in said
 
 
 @pytest.mark.parametrize(("column", "value", "said"), [("timestamp", 0.0, "strictly rising"), ("action", float("nan"), "finite")])
