@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from edream.catalog import load
 from edream.core.effect import Effect
+from edream.core.parameters import Parameter
 from edream.diagnosis.candidates import Candidate, placement
 from edream.diagnosis.decide import Round, Trial, backward, bootstrap, forward, proof_errors, rivals
 from edream.diagnosis.descent import Fit
@@ -19,7 +20,7 @@ from edream.diagnosis.suspects import Suspect, find_suspects
 from edream.sim.objective import rms
 
 ALIKE = 0.9  # a rival that closes this share of what the winner closes may be the true one
-OFF_NOMINAL = 1.45  # how many times off its published value a nuisance number must be to be an effect itself
+STRANGE = (0.68, 1.35)  # times its published value: a nuisance number below or above is an effect itself, 30 % off is usual
 REAL_GAP = 1.8  # how many floors of left-out error are a gap worth a name
 ENOUGH = 0.5  # share of the gap that named effects must close, or what is left has no name
 
@@ -187,23 +188,33 @@ def numbers_of(
 def off_nominal(problem: Problem, fit: Fit) -> list[Named]:
     """Nuisance numbers so far from the published ones that they are the finding, where only a few are.
 
-    Where most are off, the model was simply not calibrated, and no single one is news.
+    Where most are off, the model was simply not calibrated, and no single one is news. A servo's damping goes with its gain.
     """
     found, count = [], 0
+    gains: dict[tuple[str, ...], float] = {}
     for place in fit.objective.simulated.placements:
         if place.effect.name not in problem.settings.nuisance:
             continue
         values, intervals, units = numbers_of(problem, fit, Candidate(place.effect.name, place.targets))
         for parameter in place.effect.parameters(problem.robot.model, place.targets):
             count += 1
-            low, high = intervals[parameter.name]
-            nominal = parameter.start
-            yardstick = 0.02 * (parameter.high - parameter.low) if parameter.scale == "linear" else 0.0
-            if low > OFF_NOMINAL * nominal + yardstick or high < nominal / OFF_NOMINAL - yardstick:
+            usual = 1.0
+            if place.effect.name == "servo_gain" and parameter.start > 0.0:
+                gains[place.targets] = values[parameter.name] / parameter.start
+            elif place.effect.name == "viscous":
+                usual = gains.get(place.targets, 1.0)
+            if is_strange(parameter, intervals[parameter.name], usual):
                 found.append(
                     Named(place.effect.name, place.effect.summary, place.targets, values, intervals, units, float("nan"), None, ())
                 )
     return found if len(found) <= max(2, count // 4) else []
+
+
+def is_strange(parameter: Parameter, interval: tuple[float, float], usual: float = 1.0) -> bool:
+    """Whether a number's interval excludes what may be expected, about its published value and about `usual` times that."""
+    yardstick = 0.02 * (parameter.high - parameter.low) if parameter.scale == "linear" else 0.0
+    low, high = min(1.0, usual) * parameter.start, max(1.0, usual) * parameter.start
+    return interval[0] > STRANGE[1] * high + yardstick or interval[1] < STRANGE[0] * low - yardstick
 
 
 def with_suspects(problem: Problem, numbers: list[Named], suspects: Sequence[Suspect]) -> list[Named]:

@@ -8,12 +8,14 @@ import pytest
 from benchmarks.blind.cases import robot_of
 from edream.core.episode import Episode
 from edream.core.errors import EdreamError
+from edream.core.parameters import Parameter
 from edream.diagnosis.candidates import Candidate, placement
 from edream.diagnosis.descent import Fit, begin
 from edream.diagnosis.next_motion import as_window, draw, room_of, separations, suggest
 from edream.diagnosis.nuisance import published
 from edream.diagnosis.problem import Problem, Settings, measurement_noise, nuisance_placements, prepare
-from edream.diagnosis.screen import extend, fits_beside, with_quantities
+from edream.diagnosis.screen import ENOUGH, Scored, extend, finalists, fits_beside, thinned, with_quantities
+from edream.diagnosis.verdict import is_strange
 from edream.sim.rollout import rollout
 from edream.sim.simulation import SimulatedRobot
 
@@ -88,3 +90,30 @@ def test_the_suggested_motion_stays_inside_the_robots_room_and_separates_better_
     apart = separations(problem, fits, [motion.command, *others])
     assert apart[0] > np.median(apart[1:])
     assert motion.evidence > 0.0 and as_window(problem, motion.command).times[-1] > 5.0
+
+
+def test_a_usual_number_is_strange_only_beyond_what_robots_of_a_kind_differ_by() -> None:
+    damping = Parameter("damping", "N m s/rad", 1e-3, 10.0, 0.6, scale="log")
+    assert is_strange(damping, (0.84, 0.88))
+    assert not is_strange(damping, (0.76, 0.88))  # the interval reaches what is usual
+    assert is_strange(damping, (0.38, 0.40))
+    assert not is_strange(damping, (0.38, 0.40), usual=0.65)  # a servo with 0.65 of its gain damps with 0.65 of it too
+    assert is_strange(damping, (0.2, 0.22), usual=0.65)
+
+
+def test_each_effect_is_heard_on_one_joint_and_on_a_group() -> None:
+    many = [Scored(Candidate("spring", (f"joint{i}",)), {}, 0.5 - 0.01 * i) for i in range(20)]
+    faint = [Scored(Candidate("dead_zone", ("joint1",)), {}, 1e-5), Scored(Candidate("load_friction", ("a", "b")), {}, 0.004)]
+    silent = [Scored(Candidate("backlash", ("a", "b")), {}, 0.001), Scored(Candidate("cogging", ("a",)), {}, 0.0)]
+    heard = finalists([*many, *faint, *silent])
+    assert all(one in heard for one in faint)
+    assert not any(one in heard for one in silent)
+
+
+def test_a_score_test_on_every_other_motion_keeps_their_rows(fit: Fit) -> None:
+    total = sum(float(window.times[-1]) for window in fit.objective.windows)
+    assert thinned(fit, ENOUGH) is fit or total > 2 * ENOUGH
+    less = thinned(fit, total / 2.5)
+    assert less.objective.windows == [fit.objective.windows[i] for i in range(0, len(fit.objective.windows), 2)]
+    np.testing.assert_allclose(less.objective.residuals(fit.values)[0], less.residual, atol=1e-12)
+    assert less.jacobian.shape == (len(less.residual), len(fit.unit))
