@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from edream.sim.least_squares import Solution, solve, worth
+from edream.sim.least_squares import Solution, jacobian, solve, worth
 from edream.sim.objective import Objective
 from edream.sim.rollout import Window
 
@@ -22,6 +22,7 @@ def polish(
     iterations: int,
     tolerance: float = 1e-4,
     secant: bool = False,
+    cheap: bool = False,
 ) -> Solution:
     """Solve, and again with the noise that was found, until it settles.
 
@@ -29,22 +30,23 @@ def polish(
 
     Args:
         iterations: most Gauss-Newton steps in each pass.
-        secant: simulate every third Jacobian only; see `edream.sim.least_squares.solve`.
+        secant, cheap: simulate fewer Jacobians; see `edream.sim.least_squares.solve`.
     """
-    noise = None
+    noise, slope = None, None
     for number in range(PASSES):
-        solution = solve(objective, start, noise=noise, iterations=iterations, tolerance=tolerance, secant=secant)
+        solution = solve(objective, start, noise, iterations, tolerance, secant, cheap, slope)
         left = worth(objective, solution.residual)
         if (noise is not None and left > SETTLED * noise) or number == PASSES - 1:
             break
         start, noise = solution.values, left
+        slope = solution.jacobian if secant else None
     return solution
 
 
 def polish_in_stages(
     objective: Any, start: Float[np.ndarray, "P"] | None, near_iterations: int, iterations: int
 ) -> tuple[Solution, int]:
-    """Come near on short pieces of some windows, finish on all windows.
+    """Come near on short pieces of some windows, finish on all windows, both with cheap Jacobians; `finish` sees to the rest.
 
     Args:
         objective: an `Objective`, or what stands in its place.
@@ -57,12 +59,25 @@ def polish_in_stages(
     windows = short_pieces(objective.windows)
     share = sum(w.times[-1] for w in windows) / sum(w.times[-1] for w in objective.windows)
     if share > WORTHWHILE:
-        return polish(objective, start, near_iterations, secant=True), 0
+        return polish(objective, start, near_iterations, secant=True, cheap=True), 0
     few = replace(objective, windows=windows, simulations=0)
-    near = polish(few, start, near_iterations, tolerance=1e-2, secant=True)
+    near = polish(few, start, near_iterations, tolerance=1e-2, secant=True, cheap=True)
     # its errors are those that will be left, so they weigh the priors rightly at once
-    solution = solve(objective, near.values, iterations=iterations, tolerance=1e-3, secant=True)
+    solution = solve(objective, near.values, iterations=iterations, tolerance=1e-3, secant=True, cheap=True)
     return solution, round(few.simulations * share * len(objective.windows) / len(windows))
+
+
+def finish(objective: Any, values: Float[np.ndarray, "P"], iterations: int) -> Solution:
+    """The exact Jacobian at a solution, and the steps that it still asks for: one where cheap Jacobians led to the right place.
+
+    Args:
+        values: where the search ended.
+        iterations: most Gauss-Newton steps.
+    """
+    residual = objective.residuals(values)[0]
+    space = objective.simulated.space
+    slope = jacobian(objective, space, space.to_unit(values), residual)
+    return solve(objective, values, worth(objective, residual), iterations, tolerance=1e-3, secant=True, slope=slope)
 
 
 def short_pieces(windows: Any) -> list[Window]:

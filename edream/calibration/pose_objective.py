@@ -46,6 +46,11 @@ class PoseObjective:
     def measured(self) -> list[Float[np.ndarray, "T 6"]]:
         return [np.concatenate([where, turn.as_rotvec()], axis=1) for where, turn in self.poses]
 
+    @cached_property
+    def acts_on(self) -> Bool[np.ndarray, "P 6"]:
+        """Every joint moves the whole pose."""
+        return np.ones((len(self.simulated.space), 6), bool)
+
     def residuals(self, values: Float[np.ndarray, "N P"]) -> Float[np.ndarray, "N R"]:
         """Softened translation and rotation errors, six a row, windows one after the other."""
         values = np.atleast_2d(values)

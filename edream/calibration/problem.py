@@ -85,9 +85,12 @@ class Problem:
     def cost(self, unit: Float[np.ndarray, "N P"]) -> Float[np.ndarray, "N"]:
         """Mean squared residual plus the priors' share, of points of the unit box; the one loss of all fitters."""
         unit = np.atleast_2d(unit)
-        residuals = self.objective.residuals(self.space.from_unit(unit))
+        return self.cost_of(unit, self.objective.residuals(self.space.from_unit(unit)))
+
+    def cost_of(self, unit: Float[np.ndarray, "N P"], residuals: Float[np.ndarray, "N R"]) -> Float[np.ndarray, "N"]:
+        """The same of points whose residuals are known."""
         centre, weight = self.prior
-        return np.mean(residuals**2, axis=1) + (weight * (unit - centre) ** 2).sum(axis=1)
+        return np.mean(np.square(residuals), axis=-1) + (weight * (np.asarray(unit) - centre) ** 2).sum(axis=-1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,11 +121,13 @@ class Fitter(ABC):
         name: the word used in configs and reports.
         summary: what it does, in a few words.
         needs_surrogate: whether a sweep and a surrogate have to be made first.
+        least_squares: whether it ends in a least-squares solution, which the exact Jacobian of the judgement may still improve.
     """
 
     name: str
     summary: str
     needs_surrogate: bool = False
+    least_squares: bool = False
 
     @abstractmethod
     def fit(self, problem: Problem) -> FitResult:

@@ -13,11 +13,12 @@ class GaussNewton(Fitter):
 
     name = "gauss_newton"
     summary = "bounded least squares in the true simulator, every column of a Jacobian simulated at once"
+    least_squares = True
 
     def fit(self, problem: Problem) -> FitResult:
         before = problem.objective.simulations
         solution, near = polish_in_stages(problem.objective, None, problem.options.iterations, problem.options.polish)
-        cost = float(problem.cost(problem.space.to_unit(solution.values))[0])
+        cost = float(problem.cost_of(problem.space.to_unit(solution.values), solution.residual))
         simulations = problem.objective.simulations - before + near
         return FitResult(solution.values, cost, (solution.start_rms**2, cost), simulations, solution.converged)
 

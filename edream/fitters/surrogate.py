@@ -24,6 +24,7 @@ class SurrogateFit(Fitter):
     name = "surrogate"
     summary = "gradient descent through the surrogate, confirmed and polished in the true simulator"
     needs_surrogate = True
+    least_squares = True
 
     def fit(self, problem: Problem) -> FitResult:
         if problem.surrogate is None or problem.measured is None:
@@ -52,7 +53,7 @@ class SurrogateFit(Fitter):
         best = candidates[int(np.argmin(costs))]
         options = problem.options
         polished, near = polish_in_stages(problem.objective, space.from_unit(best), options.iterations, options.polish)
-        cost = float(problem.cost(space.to_unit(polished.values))[0])
+        cost = float(problem.cost_of(space.to_unit(polished.values), polished.residual))
         facts["confirmed"] = [float(c) for c in costs]
         simulations = problem.objective.simulations - before + extra + near
         return FitResult(polished.values, cost, (*(float(c) for c in costs), cost), simulations, polished.converged, facts)

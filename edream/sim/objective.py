@@ -42,6 +42,17 @@ class Objective:
         """Number of the window that each residual belongs to, (R,)."""
         return np.concatenate([np.full(m.size, i) for i, m in enumerate(self.measured)])
 
+    @cached_property
+    def acts_on(self) -> Bool[np.ndarray, "P C"]:
+        """Which columns of (time, joint) rows each parameter moves first: the joints it acts on, or all where that is not known."""
+        names = np.array(self.simulated.robot.joints)
+        names = names if self.joints is None else names[self.joints]
+        rows = []
+        for placement in self.simulated.placements:
+            direct = np.isin(names, placement.targets) if placement.effect.place == "joint" else np.zeros(len(names), bool)
+            rows += [direct if direct.any() else ~direct] * len(placement.parameters(self.simulated.robot.model))
+        return np.array(rows, bool).reshape(-1, len(names))
+
     def _chosen(self, positions: np.ndarray) -> np.ndarray:
         rows = positions[..., 1 :: self.stride, :]
         return rows if self.joints is None else rows[..., self.joints]

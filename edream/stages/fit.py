@@ -11,6 +11,7 @@ from edream import catalog
 from edream.calibration.data import sampling_stride, stretches
 from edream.calibration.errors import before_and_after, error_table, perfect_tracking, replayed
 from edream.calibration.moves import check_moves
+from edream.calibration.polish import finish
 from edream.calibration.pose_objective import PoseObjective
 from edream.calibration.problem import FitResult, Fitter, FitterOptions, Problem
 from edream.calibration.settings import RobotSettings, SpaceSettings, scored, simulated_robot, space_of
@@ -92,8 +93,9 @@ def run(inputs: Mapping[str, Artifact], config: FitConfig, work: Work) -> Bundle
         learned = catalog.load("surrogates", config.surrogate.kind, Surrogate).load(inputs["surrogate"]["weights.safetensors"])
         problem = with_surrogate(problem, swept, learned, config.surrogate.options, train)
     result = work.shards("search", [0], lambda item, rng: _kept(entry.fit(problem)), parallel=False)[0]["found.json"]
-    values = np.array(result["values"])
-    worth = judged(objective, values)
+    before = objective.simulations
+    values, worth = judged(objective, np.array(result["values"]), settings.search.polish if entry.least_squares else 0)
+    result = {**result, "simulations": result["simulations"] + objective.simulations - before}
     error = errors(simulated, values, train, held, counted, settings.until)
     model = emit(simulated, values)
     summary = _summary(worth, error, result, held, settings, inputs)
@@ -145,12 +147,14 @@ def nearest(sweep: Sequences, unit: np.ndarray) -> Sequences:
     return sweep.take(np.argsort(distance, kind="stable")[: max(1, len(sweep) // 3)])
 
 
-def judged(objective: Any, values: np.ndarray) -> Worth:
-    """Intervals and statuses at the fit."""
+def judged(objective: Any, values: np.ndarray, steps: int) -> tuple[np.ndarray, Worth]:
+    """Where up to `steps` more steps with exact Jacobians lead, and intervals and statuses there."""
+    if steps:
+        end = finish(objective, values, steps)
+        return end.values, worth_of(objective, end.values, end.residual, end.jacobian)
     space = objective.simulated.space
-    unit = space.to_unit(values)
     residual = objective.residuals(values)[0]
-    return worth_of(objective, values, residual, jacobian(objective, space, unit, residual))
+    return values, worth_of(objective, values, residual, jacobian(objective, space, space.to_unit(values), residual))
 
 
 def errors(
@@ -207,7 +211,8 @@ def _summary(
     inputs: Mapping[str, Artifact],
 ) -> dict[str, Any]:
     judge = error["heldout" if held else "train"]
-    on = f"on {len(held)} motion{'s' * (len(held) > 1)} it never saw" if held else "on the motions it was fitted to; none was held out"
+    motions = "1 motion" if len(held) == 1 else f"{len(held)} motions"
+    on = f"on {motions} it never saw" if held else "on the motions it was fitted to; none was held out"
     before = judge["before"]["joint_rmse_rad"]
     swept = inputs["sweep"]["summary.json"]["simulations"] if "sweep" in inputs else 0
     return {
@@ -240,5 +245,5 @@ def sources(config: FitConfig) -> Mapping[str, Source]:
 
 
 ENTRY = Stage(
-    name="fit", version=1, needs=needs, config=FitConfig, run=run, sources=sources, numerics=("mujoco", "scipy", "cma", "torch")
+    name="fit", version=2, needs=needs, config=FitConfig, run=run, sources=sources, numerics=("mujoco", "scipy", "cma", "torch")
 )

@@ -4,8 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from edream import config
-from edream.calibration.polish import polish
+from edream import catalog, config
+from edream.calibration.polish import finish
+from edream.calibration.problem import Fitter, FitterOptions, Problem
 from edream.calibration.settings import RobotSettings, SpaceSettings, simulated_robot
 from edream.calibration.worth import Worth, worth_of
 from edream.core.episode import Episode
@@ -77,11 +78,12 @@ def plant(simulated: SimulatedRobot, seed: int) -> np.ndarray:
 
 
 def recover(seed: int, count: int = 4, seconds: float = 8.0) -> Recovered:
-    """Plant, record, fit from the published numbers."""
+    """Plant, record, fit from the published numbers as `edream calibrate` does."""
     simulated = arm()
     truth = plant(simulated, seed)
     objective = Objective(simulated, whole(motions(simulated, truth, seed, count, seconds)), np.arange(7) < 6)
-    solution = polish(objective, None, 15, 1e-6)
+    found = catalog.load("fitters", "gauss_newton", Fitter).fit(Problem(objective, options=FitterOptions()))
+    solution = finish(objective, found.values, FitterOptions().polish)
     worth = worth_of(objective, solution.values, solution.residual, solution.jacobian)
     return Recovered(simulated.space.mapping(truth), worth, solution.rms)
 
