@@ -23,7 +23,7 @@ def record_robot(cfg: DictConfig, write: Write) -> None:
     if cfg.task is None:
         _print(record(robot, settings, int(cfg.seed)), write)
     else:
-        _print(record_task(robot, str(cfg.task), settings, int(cfg.seed)), write)
+        _print(record_task(robot, str(cfg.task), settings, int(cfg.seed), int(cfg.executor.workers)), write)
 
 
 def export_episodes(cfg: DictConfig, to: str, out: Path, write: Write) -> None:

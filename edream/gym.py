@@ -95,7 +95,7 @@ class WorkcellEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
         if observed == "state":
             for name in sorted(self.world.state()):
                 inside[name] = spaces.Box(-10.0, 10.0, (7,), np.float32)
-        self.observation_space = spaces.Dict(inside)
+        self.observation_space = spaces.Dict(inside)  # type: ignore[assignment]
         self._step = 0
 
     def reset(

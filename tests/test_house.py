@@ -26,7 +26,7 @@ MAY_IMPORT = {
     "export": {"core", "catalog", "ingest"},
     "gym": {"core", "catalog", "sim", "vision", "reality"},
     "record": {"core", "catalog", "sim", "reality"},
-    "record_task": {"core", "catalog", "sim", "reality", "record"},
+    "record_task": {"core", "catalog", "executor", "sim", "reality", "record"},
     "pipeline": {"core", "stages"} | PLUMBING,
     "report": {"core", "sim", "learn", "report", "catalog"} | METHODS,
 }

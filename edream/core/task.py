@@ -53,7 +53,7 @@ class Thing:
     pose: Float[np.ndarray, "7"]
     fixed: bool = False
 
-    def moved(self, offset: Sequence[float]) -> "Thing":
+    def moved(self, offset: Sequence[float] | np.ndarray) -> "Thing":
         """The same thing elsewhere."""
         return replace(self, pose=self.pose + np.concatenate([offset, np.zeros(4)]))
 

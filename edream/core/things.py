@@ -12,7 +12,9 @@ WALL = 0.002  # half thickness of a cup's wall [m]; thinner ones let the fingers
 FACETS = 10
 
 
-def cup(name: str, place: Sequence[float], radius: float, height: float, mass: float, friction: float, colour: Colour) -> Thing:
+def cup(
+    name: str, place: Sequence[float] | np.ndarray, radius: float, height: float, mass: float, friction: float, colour: Colour
+) -> Thing:
     """An open cup that stands on the table: facets around a floor. Its origin is its middle.
 
     Args:
@@ -31,7 +33,13 @@ def cup(name: str, place: Sequence[float], radius: float, height: float, mass: f
 
 
 def bar(
-    name: str, place: Sequence[float], size: Sequence[float], angle: float, mass: float, friction: float, colour: Colour
+    name: str,
+    place: Sequence[float] | np.ndarray,
+    size: Sequence[float],
+    angle: float,
+    mass: float,
+    friction: float,
+    colour: Colour,
 ) -> Thing:
     """A box that lies on the table, turned by `angle` about the vertical [rad]; `size` holds half sizes [m]."""
     half = (float(size[0]), float(size[1]), float(size[2]))
@@ -40,7 +48,13 @@ def bar(
 
 
 def tray(
-    name: str, place: Sequence[float], size: Sequence[float], angle: float, mass: float, friction: float, colour: Colour
+    name: str,
+    place: Sequence[float] | np.ndarray,
+    size: Sequence[float],
+    angle: float,
+    mass: float,
+    friction: float,
+    colour: Colour,
 ) -> Thing:
     """An open box; `size` holds outer half sizes [m]."""
     x, y, z = (float(one) for one in size)
@@ -54,7 +68,7 @@ def tray(
     return Thing(name, parts, SceneObject(name, "box", (x, y, z), colour), mass, friction, pose)
 
 
-def mat(name: str, place: Sequence[float], radius: float, colour: Colour) -> Thing:
+def mat(name: str, place: Sequence[float] | np.ndarray, radius: float, colour: Colour) -> Thing:
     """A thin round mat, glued to the table."""
     part = Part("cylinder", (radius, 0.0015))
     proxy = SceneObject(name, "cylinder", (radius, 0.0015), colour)

@@ -1,6 +1,7 @@
 """How the workcell looks in reality: its own textures, a lamp with shadows, cameras a little elsewhere, blur and noise."""
 
 from dataclasses import dataclass
+from typing import Literal
 
 import cv2
 import mujoco
@@ -14,6 +15,7 @@ from edream.core.task import Layout
 from edream.reality.look import materials, sensed
 
 CAMERA = "reality_"
+A4 = (0.297, 0.21)  # [m]
 SCALE = 2  # images are rendered so many times larger, then averaged
 
 
@@ -28,6 +30,7 @@ class CellLook:
         drift: how far the light and the automatic exposure wander, as a share.
         blur: standard deviation of the lens' blur, as a share of the image's height.
         shift: how far a camera may stand from where it was meant to [m].
+        paper: how a sheet of A4 paper lies on the table, seen and not felt: a change of scene that no demonstration has shown.
     """
 
     cameras: tuple[str, ...] = ("cam_high",)
@@ -37,6 +40,7 @@ class CellLook:
     drift: float = 0.06
     blur: float = 0.006
     shift: float = 0.012
+    paper: Literal["none", "horizontal", "vertical"] = "none"
 
 
 def placed_cameras(bench: Bench, look: CellLook, seed: int) -> dict[str, Camera]:
@@ -86,6 +90,12 @@ def dress(spec: mujoco.MjSpec, bench: Bench, layout: Layout | None, look: CellLo
     world.add_geom(type=plane, size=[4, 4, 1], pos=[0, 0, cz - 0.6], material="reality_wall", **plain)
     at = [cx - 0.6 * tx, cy + 0.75 * ty, cz + tz + 0.06]
     world.add_geom(type=box, size=[0.09, 0.07, 0.06], pos=at, material="reality_mark", **plain)
+    if look.paper != "none":
+        sheet = np.array(A4 if look.paper == "vertical" else A4[::-1])
+        at = [cx + 0.02, cy + 0.02, cz + tz + 0.0006]
+        page = world.add_geom(type=box, size=[*sheet / 2, 0.0005], pos=at, rgba=[0.95, 0.95, 0.93, 1.0], **plain)
+        page.material = "paper"
+        spec.add_material(name="paper", specular=0.1, rgba=[0.95, 0.95, 0.93, 1.0])
     lamp = {"castshadow": True, "diffuse": [0.7, 0.67, 0.62], "specular": [0.2] * 3, "ambient": [0.05] * 3}
     slant = [-0.35 + 0.2 * rng.uniform(-1, 1), 0.5 + 0.2 * rng.uniform(-1, 1), -1.0]
     world.add_light(pos=[cx + 0.8, -1.0, cz + 1.8], dir=slant, type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, **lamp)

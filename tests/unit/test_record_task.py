@@ -69,6 +69,17 @@ def test_the_same_seed_records_the_same_again(demonstrations: tuple[Path, dict],
         assert all(np.array_equal(a, b) for a, b in zip(*(x.videos["cam_high"].frames() for x in (one, two)), strict=True))
 
 
+@pytest.mark.slow
+def test_workers_change_nothing(rendering: None, tmp_path: Path) -> None:
+    for workers in (1, 2):
+        record_task(
+            robot(), "grab_paper_cup", RecordConfig(tmp_path / str(workers), episodes=6, cell=SMALL), seed=5, workers=workers
+        )
+    for one, two in zip(read(tmp_path / "1"), read(tmp_path / "2"), strict=True):
+        assert np.array_equal(one.command, two.command)
+        assert all(np.array_equal(a, b) for a, b in zip(*(x.videos["cam_high"].frames() for x in (one, two)), strict=True))
+
+
 def test_motions_are_of_the_same_robot_by_seed_or_by_its_truth(demonstrations: tuple[Path, dict], tmp_path: Path) -> None:
     truth = Path(demonstrations[1]["truth"])
     by_seed = record(robot(), RecordConfig(tmp_path / "one", effects=("drawn",), motions=1, seconds=1.0), seed=4)
