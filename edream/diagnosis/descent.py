@@ -16,6 +16,7 @@ from edream.sim.rollout import Window
 STRETCH = 1.5  # s
 LONGEST_STEP = 0.2  # of the unit box
 SHORTER = (0.5, 0.2, 0.06)  # of a step
+PATIENT = 3  # iterations from which a descent is meant to arrive
 WORD = 0.5  # share of the promised gain that a whole step must bring
 
 
@@ -133,6 +134,7 @@ def descend(fit: Fit, fresh: Bool[np.ndarray, "P"] | None = None, iterations: in
         iterations: most steps.
         tolerance: relative gain below which the fit has arrived.
     """
+    doubted = False
     for _ in range(iterations):
         move = step_from(fit)
         before, promised = cost(fit), cost(replace(fit, unit=fit.unit + move, residual=fit.residual + fit.jacobian @ move))
@@ -141,7 +143,12 @@ def descend(fit: Fit, fresh: Bool[np.ndarray, "P"] | None = None, iterations: in
             tried += _tried(fit, move, SHORTER)
         after, unit, residual = min(tried, key=lambda one: one[0])
         if not after < before:
-            break
+            if doubted or iterations < PATIENT:
+                break
+            # no step helps: with a Jacobian that was carried along, that says little
+            fit, doubted = replace(fit, jacobian=jacobian(fit.objective, fit.space, fit.unit, fit.residual)), True
+            continue
+        doubted = False
         fit = _moved(fit, unit, residual, fresh)
         if before - after < tolerance * before:
             break
