@@ -10,11 +10,11 @@ from edream import cli_show, pipeline
 from edream.core.errors import EdreamError
 from edream.store import Store, StoredArtifact
 
-REPORTED = {"fit": "fit", "diagnose": "diagnose", "score": "dream"}  # stage -> what its page is about
+REPORTED = {"fit": "fit", "diagnose": "diagnose", "score": "dream", "evaluate": "evaluate"}  # stage -> what its page is about
 
 
 def report(cfg: DictConfig, open_it: bool, write: Callable[[str], object] | None) -> None:
-    """The report of the newest calibration, diagnosis or dreamed video in the store.
+    """The report of the newest calibration, diagnosis, dreamed video or policy in the store.
 
     Args:
         cfg: the composed config; of it only the store's place counts.
@@ -27,7 +27,7 @@ def report(cfg: DictConfig, open_it: bool, write: Callable[[str], object] | None
     store = pipeline.open_store(cfg)
     newest = _newest(store)
     if newest is None:
-        raise EdreamError(f"There is nothing to report on in {store.root}; run edream calibrate, diagnose or dream first.")
+        raise EdreamError(f"There is nothing to report on in {store.root}; run edream calibrate, diagnose, dream or train-policy first.")
     made = _written(store, newest) or _anew(store, newest, cfg)
     path = made.path(next(name for name in made if name.endswith(".html"))).absolute()
     found = {"report": str(path), "of": REPORTED[newest.stage], "artifact": str(newest.folder.absolute())}
@@ -42,7 +42,7 @@ def report(cfg: DictConfig, open_it: bool, write: Callable[[str], object] | None
 def _newest(store: Store) -> StoredArtifact | None:
     """The newest artifact that a page can be about; of fits that were made to compare with, or for a dream, not those."""
     named = {(run["command"], stage, key) for run in store.runs().values() for stage, key in run["made"].items()}
-    about = {"fit": "calibrate", "diagnose": "diagnose", "score": "dream"}
+    about = {"fit": "calibrate", "diagnose": "diagnose", "score": "dream", "evaluate": "train-policy"}
     found = [one for one in store.artifacts() if one.stage in REPORTED]
     asked_for = [one for one in found if (about[one.stage], one.stage, one.key) in named]
     return (asked_for or found or [None])[-1]

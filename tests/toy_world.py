@@ -12,7 +12,7 @@ from edream.practice.demonstrations import Demonstration
 from edream.practice.trial import state_of
 
 SIZE, STEPS = 24, 16
-SMALL = {"dim": 32, "heads": 2, "feedforward": 64, "encoder": 1, "latent": 4, "widths": [8, 16], "keypoints": 4}
+SMALL = {"dim": 32, "heads": 2, "feedforward": 64, "encoder": 1, "latent": 4, "widths": [8, 16, 16], "keypoints": 4}
 
 
 class ToyWorld(World):

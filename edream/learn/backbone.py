@@ -1,4 +1,4 @@
-"""Backbones: what turns an image into a map of features. Weights start from chance; nothing is downloaded."""
+"""Backbones: what turns an image into a coarse and a fine map of features. Weights start from chance; nothing is downloaded."""
 
 from collections.abc import Sequence
 
@@ -12,19 +12,32 @@ NAMES = ("small_conv", "resnet18")
 
 
 class SmallConv(nn.Module):
-    """Strided convolutions for CPUs: each stage halves the image, at a few thousand weights each."""
+    """Strided convolutions for CPUs: each stage halves the image, at a few thousand weights each.
 
-    def __init__(self, widths: Sequence[int] = (16, 32, 64)) -> None:
+    Attributes:
+        channels: of the coarse map.
+        fine_channels: of the fine map, which is a quarter of the image's size.
+    """
+
+    def __init__(self, widths: Sequence[int] = (16, 32, 48, 64)) -> None:
         super().__init__()
-        layers: list[nn.Module] = []
-        for before, width in zip((3, *widths), widths, strict=False):
-            layers += [nn.Conv2d(before, width, 5 if before == 3 else 3, 2, 2 if before == 3 else 1)]
-            layers += [nn.GroupNorm(max(1, width // 8), width), nn.ReLU()]
-        self.body = nn.Sequential(*layers)
-        self.channels = widths[-1]
+        stages = [
+            self._stage(before, width, 5 if number == 0 else 3, 2)
+            for number, (before, width) in enumerate(zip((3, *widths), widths, strict=False))
+        ]
+        fine = min(2, len(widths))
+        self.fine = nn.Sequential(*stages[:fine], self._stage(widths[fine - 1], widths[fine - 1], 3, 1))
+        self.body = nn.Sequential(*stages[fine:])
+        self.channels, self.fine_channels = widths[-1], widths[fine - 1]
 
-    def forward(self, images: Float[Tensor, "B 3 H W"]) -> Float[Tensor, "B C h w"]:
-        return self.body(images)
+    def forward(self, images: Float[Tensor, "B 3 H W"]) -> tuple[Float[Tensor, "B C h w"], Float[Tensor, "B F hf wf"]]:
+        fine = self.fine(images)
+        return self.body(fine), fine
+
+    def _stage(self, before: int, width: int, kernel: int, stride: int) -> nn.Module:
+        return nn.Sequential(
+            nn.Conv2d(before, width, kernel, stride, kernel // 2), nn.GroupNorm(max(1, width // 8), width), nn.ReLU()
+        )
 
 
 class Block(nn.Module):
@@ -57,11 +70,13 @@ class ResNet18(nn.Module):
         super().__init__()
         head = [nn.Conv2d(3, 64, 7, 2, 3, bias=False), nn.GroupNorm(4, 64), nn.ReLU(), nn.MaxPool2d(3, 2, 1)]
         plan = [(64, 64, 1), (64, 64, 1), (64, 128, 2), (128, 128, 1), (128, 256, 2), (256, 256, 1), (256, 512, 2), (512, 512, 1)]
-        self.body = nn.Sequential(*head, *(Block(*one) for one in plan))
-        self.channels = 512
+        self.fine = nn.Sequential(*head, *(Block(*one) for one in plan[:4]))
+        self.body = nn.Sequential(*(Block(*one) for one in plan[4:]))
+        self.channels, self.fine_channels = 512, 128
 
-    def forward(self, images: Float[Tensor, "B 3 H W"]) -> Float[Tensor, "B C h w"]:
-        return self.body(images)
+    def forward(self, images: Float[Tensor, "B 3 H W"]) -> tuple[Float[Tensor, "B C h w"], Float[Tensor, "B F hf wf"]]:
+        fine = self.fine(images)
+        return self.body(fine), fine
 
 
 def backbone(name: str, widths: Sequence[int]) -> SmallConv | ResNet18:

@@ -16,7 +16,7 @@ def threads() -> int:
 
 @contextmanager
 def deterministic(count: int | None = None) -> Iterator[None]:
-    """Pin the thread count (`threads()` where None) and forbid algorithms that differ from run to run; both are put back afterwards."""
+    """Pin the thread count (`threads()` where None) and forbid algorithms that differ from run to run; both are put back after."""
     before, strict = torch.get_num_threads(), torch.are_deterministic_algorithms_enabled()
     torch.set_num_threads(count or threads())
     torch.use_deterministic_algorithms(True)

@@ -41,7 +41,7 @@ class ActOptions:
     kl: float = 10.0
     dropout: float = 0.0
     backbone: str = "small_conv"
-    widths: tuple[int, ...] = (16, 32, 64)
+    widths: tuple[int, ...] = (16, 32, 48, 64)
     keypoints: int = 16
 
     @classmethod
@@ -55,7 +55,8 @@ class ActOptions:
         for name in options:
             if name not in known:
                 raise unknown_name("option of act", str(name), known)
-        chosen = cls(**{name: tuple(value) if name == "widths" else value for name, value in options.items()})
+        given: dict[str, Any] = {str(name): tuple(value) if name == "widths" else value for name, value in options.items()}
+        chosen = cls(**given)
         if chosen.dim % chosen.heads or chosen.dim % 4 or min(chosen.dim, chosen.encoder, chosen.decoder, chosen.latent) < 1:
             raise EdreamError(
                 f"act has dim {chosen.dim}, heads {chosen.heads}, encoder {chosen.encoder}, decoder {chosen.decoder}, latent "
@@ -66,6 +67,9 @@ class ActOptions:
 
 class ActNetwork(FittedPolicy):
     """Posterior q(z | joints, actions), encoder over z, joints, state and image features, decoder with one query an action."""
+
+    grid: Tensor
+    clock: Tensor
 
     def __init__(self, shape: PolicyShape, options: ActOptions) -> None:
         super().__init__()
@@ -82,10 +86,10 @@ class ActNetwork(FittedPolicy):
             self.eye = backbone(options.backbone, options.widths)
             self.project = nn.Conv2d(self.eye.channels, dim, 1)
             with torch.no_grad():
-                size = self.eye(torch.zeros(1, 3, shape.height, shape.width)).shape[-2:]
-            self.register_buffer("grid", waves2(*size, dim), persistent=False)
+                size = self.eye(torch.zeros(1, 3, shape.height, shape.width))[0].shape[-2:]
+            self.register_buffer("grid", waves2(size[0], size[1], dim), persistent=False)
             self.view = nn.Parameter(torch.randn(shape.cameras, 1, dim) * 0.02)
-            self.points = Keypoints(self.eye.channels, options.keypoints) if options.keypoints else None
+            self.points = Keypoints(self.eye.fine_channels, options.keypoints) if options.keypoints else None
             self.from_points = nn.Linear(2 * options.keypoints, dim) if options.keypoints else None
             extra += shape.cameras if options.keypoints else 0
         self.places = nn.Parameter(torch.randn(1, extra, dim) * 0.02)
@@ -115,11 +119,11 @@ class ActNetwork(FittedPolicy):
             return torch.stack(single, dim=1), self.places
         b, v = seen.images.shape[:2]
         images = (seen.images.flatten(0, 1).movedim(-1, 1).float() - LEVEL) / SPREAD  # (B V, 3, H, W)
-        features = self.eye(images)
+        features, fine = self.eye(images)
         tokens = self.project(features).flatten(2).transpose(1, 2).unflatten(0, (b, v)).flatten(1, 2)  # (B, V h w, D)
         places = (self.grid + self.view).flatten(0, 1)[None]
         if self.points is not None and self.from_points is not None:
-            found = self.from_points(self.points(features)).unflatten(0, (b, v))
+            found = self.from_points(self.points(fine)).unflatten(0, (b, v))
             single += list(found.unbind(dim=1))
         return torch.cat([torch.stack(single, dim=1), tokens], dim=1), torch.cat([self.places, places], dim=1)
 

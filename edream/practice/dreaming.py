@@ -52,8 +52,8 @@ def eyes_of(options: RolloutOptions, inputs: Mapping[str, Any], dream: DreamOpti
     if options.eyes == "raw":
         return open_raw
     if options.eyes == "composite":
-        return partial(open_composite, plate_image(inputs))
+        return partial(open_composite, plate_image(inputs, options))
     made = inputs["dream"]
     files = {name: made.path(name) for name in (file_of(DREAM), CODEC) if name in made}
     grain = tuple(made["grain.json"][DREAM])
-    return partial(open_dreamed, Dreaming(files, dream, plate_image(inputs), grain, seed))
+    return partial(open_dreamed, Dreaming(files, dream, plate_image(inputs, options), grain, seed))

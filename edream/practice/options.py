@@ -60,6 +60,8 @@ class SftOptions:
         held: share of the demonstrations that is held out, at least one.
         apart: held-out steps that are judged lie this far apart.
         shake: how training images are shaken.
+        twins: whether every demonstration is also learned as the simulator's eyes see it, before the photo `rollouts.plate`, its
+            robot as measured and its things as tracked (`render.scene`); so that trials there are no strange sight.
     """
 
     train: Schedule = field(default_factory=Schedule)
@@ -68,6 +70,7 @@ class SftOptions:
     held: float = 0.1
     apart: int = 5
     shake: Shake = field(default_factory=Shake)
+    twins: bool = False
 
     def __post_init__(self) -> None:
         for name in ("batch", "checkpoint", "apart"):

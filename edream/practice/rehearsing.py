@@ -11,6 +11,7 @@ import numpy as np
 from edream.calibration.settings import SpaceSettings, simulated_robot
 from edream.core.camera import from_json
 from edream.core.errors import EdreamError, require
+from edream.core.stage import Source
 from edream.practice.about import PolicyAbout
 from edream.practice.collecting import Shard, split
 from edream.practice.trial import Chance
@@ -36,6 +37,7 @@ class RolloutOptions:
         noise: what else is left to chance.
         shard: trials that one process plays before it hands them in.
         supersampling: images are rendered so many times larger and averaged.
+        plate: photo of the bench without robot and things, for composite eyes; the one that `masks` finds where None.
     """
 
     model: Literal["fit", "diagnose", "published"] = "fit"
@@ -48,6 +50,7 @@ class RolloutOptions:
     noise: Chance = field(default_factory=Chance)
     shard: int = 12
     supersampling: int = 1
+    plate: Path | None = None
 
     def __post_init__(self) -> None:
         require(self.starts >= 1, "rollouts.starts", self.starts, "at least 1")
@@ -66,10 +69,17 @@ class Physics:
     grip: float
 
 
-def needs_of(model: str, eyes: str) -> tuple[str, ...]:
+def needs_of(options: RolloutOptions) -> tuple[str, ...]:
     """Stages that trials with this physics and these eyes need."""
-    physics = () if model == "published" else (model,)
-    return physics + {"composite": ("camera", "masks"), "dreamed": ("camera", "condition", "dream")}.get(eyes, ())
+    physics = () if options.model == "published" else (options.model,)
+    if options.eyes == "composite":
+        return (*physics, "camera") if options.plate else (*physics, "camera", "masks")
+    return (*physics, "camera", "condition", "dream") if options.eyes == "dreamed" else physics
+
+
+def sources_of(options: RolloutOptions) -> dict[str, Source]:
+    """Files that trials with these eyes need."""
+    return {"plate": options.plate} if options.plate and options.eyes == "composite" else {}
 
 
 def physics_of(robot: RobotModel, made: Mapping[str, Any] | None, folder: Path) -> Physics:
@@ -148,14 +158,15 @@ def cell_of(
                 f"{', '.join(cameras) or 'none'}: give policy.cameras."
             )
         placed = {cameras[0]: found[cameras[0]]}
-        size = image_size(inputs)
+        size = plate_image(inputs, options).shape[:2]
     return Workcell(
         robot.name,
         physics.mjcf,
         task,
         about.rate,
         cameras if options.eyes != "state" else (),
-        *size,
+        int(size[0]),
+        int(size[1]),
         dict(robot.assets),
         robot.site,
         physics.hook,
@@ -165,18 +176,34 @@ def cell_of(
     )
 
 
-def image_size(inputs: Mapping[str, Any]) -> tuple[int, int]:
-    """Size of the background plate [pixel]."""
-    plate = plate_image(inputs)
-    return plate.shape[0], plate.shape[1]
+def plate_image(inputs: Mapping[str, Any], options: RolloutOptions) -> np.ndarray:
+    """The background of the recordings, (H, W, 3).
+
+    Raises:
+        EdreamError: the file that is named is no image.
+    """
+    if options.plate is not None and options.eyes == "composite":
+        return plate_of(options.plate)
+    return _decoded(inputs["condition" if options.eyes == "dreamed" else "masks"]["plate.png"], "plate.png")
 
 
-def plate_image(inputs: Mapping[str, Any]) -> np.ndarray:
-    """The background of the recordings, (H, W, 3)."""
+def plate_of(path: Path) -> np.ndarray:
+    """A photo of the bench without robot and things, (H, W, 3).
+
+    Raises:
+        EdreamError: it is not there, or is no image.
+    """
+    if not path.is_file():
+        raise EdreamError(f"There is no photo at {path}; rollouts.plate is one of the bench without robot and things.")
+    return _decoded(path.read_bytes(), str(path))
+
+
+def _decoded(data: bytes, where: str) -> np.ndarray:
     import cv2
 
-    source = inputs["masks"] if "masks" in inputs else inputs["condition"]
-    image = cv2.imdecode(np.frombuffer(source["plate.png"], np.uint8), cv2.IMREAD_COLOR)
+    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
+    if image is None:
+        raise EdreamError(f"{where} is no image; rollouts.plate is a photo of the bench without robot and things.")
     return np.ascontiguousarray(image[..., ::-1])
 
 

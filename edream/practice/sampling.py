@@ -1,7 +1,8 @@
 """The demonstrations of a data set, as a policy is trained on them."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from edream.practice.about import PolicyAbout
 from edream.practice.demonstrations import Demonstration, View, chosen_cameras, demonstration, rate_of, step_times
 from edream.practice.options import PolicyOptions
 from edream.practice.trial import state_of
+from edream.practice.twins import twin_of
 from edream.vision.scene_file import read_scene
 
 
@@ -36,6 +38,21 @@ def demonstrations(
         for number, episode in enumerate(episodes)
     ]
     return made, cameras, rate_of(episodes, options.rate)
+
+
+def with_twins(taught: Sequence[tuple[int, Demonstration]], twins: Mapping[str, Any] | None, folder: Path) -> list[Demonstration]:
+    """Demonstrations, and beside them their twins where there are any.
+
+    Args:
+        taught: each with its number in the data set.
+        twins: file name -> arrays, as the stage twins made it.
+        folder: takes the twins' images.
+    """
+    plain = [one for _, one in taught]
+    if twins is None:
+        return plain
+    name = "images/{:06d}.safetensors"
+    return plain + [twin_of(one, twins[name.format(n)]["images"], folder / f"twin-{n:06d}.npy") for n, one in taught]
 
 
 def tracked(scene: Scene, episode: Episode, options: PolicyOptions) -> np.ndarray | None:

@@ -168,8 +168,10 @@ def _row(world: World, observation: Observation, eyes: Eyes, about: PolicyAbout)
 
 
 def state_of(poses: Mapping[str, Float[np.ndarray, "7"]]) -> Float[np.ndarray, "S"]:
-    """Poses of all objects as one vector: by name, place and the first two columns of the rotation, which a quaternion's sign does not
-    touch."""
+    """Poses of all objects as one vector: by name, place and the first two columns of the rotation.
+
+    A quaternion's sign would jump.
+    """
     rows = []
     for name in sorted(poses):
         w, x, y, z = poses[name][3:] / np.linalg.norm(poses[name][3:])

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import UInt8
 
 from edream import catalog
 from edream.core.camera import Camera
@@ -74,6 +75,14 @@ class RawEyes:
         return _simulated(world).images.cameras
 
 
+def over(
+    plate: UInt8[np.ndarray, "H W 3"], colour: UInt8[np.ndarray, "H W 3"], share: UInt8[np.ndarray, "H W"]
+) -> UInt8[np.ndarray, "H W 3"]:
+    """Colours over a background, each pixel by its share, 0..255."""
+    weight = share[..., None] / 255.0
+    return np.round(plate + weight * (colour.astype(float) - plate)).astype(np.uint8)
+
+
 @dataclass(frozen=True, eq=False)
 class CompositeEyes(RawEyes):
     """Simulated robot and objects before the background of the recordings.
@@ -87,8 +96,7 @@ class CompositeEyes(RawEyes):
     def look(self, world: World, observation: Observation) -> Mapping[str, np.ndarray]:
         found = {}
         for name, seen in _simulated(world).conditions().items():
-            share = np.maximum(seen.robot, seen.object)[..., None] / 255.0
-            found[name] = np.round(self.plate + share * (seen.composite.astype(float) - self.plate)).astype(np.uint8)
+            found[name] = over(self.plate, seen.composite, np.maximum(seen.robot, seen.object))
         return found
 
 

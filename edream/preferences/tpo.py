@@ -13,7 +13,8 @@ class Tpo(Preference):
         L = -log sigma(beta [r(w) - r(l)]) + alpha beta sum |a_w - mu| / b,      r(z) = log pi(z) - log pi_ref(z)
 
     The second term is the chosen trajectory's error in the same units. Without it both trajectories become less likely, and the
-    policy forgets what it could do. Source of the first term: Zhang et al., arXiv:2411.19309 (GRAPE); Rafailov et al., arXiv:2305.18290.
+    policy forgets what it could do. Source of the first term: Zhang et al., arXiv:2411.19309 (GRAPE), after Rafailov et al.,
+    arXiv:2305.18290.
     """
 
     name = "tpo"

@@ -1,7 +1,7 @@
 """Evaluate: how often each policy succeeds where it counts, in the stand-in reality, over starts that nothing was trained on."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -112,8 +112,7 @@ def run(inputs: Mapping[str, Artifact], config: EvaluateConfig, work: Work) -> B
 
 def seen_by(about: PolicyAbout, look: CellLook) -> CellLook | None:
     """The cameras that a policy needs, as they recorded the demonstrations."""
-    fields = asdict(look) | {"cameras": about.cameras}
-    return CellLook(**fields) if about.cameras else None
+    return replace(look, cameras=about.cameras) if about.cameras else None
 
 
 def label(need: str) -> str:

@@ -22,8 +22,8 @@ from edream.practice.dreaming import eyes_of
 from edream.practice.learning import Lessons, Played, RlOptions, reference_of, shall_stop
 from edream.practice.options import PolicyOptions, SftOptions, device_of
 from edream.practice.ranking import require_pairs
-from edream.practice.rehearsing import RolloutOptions, calm, cell_of, needs_of, physics_for, shards_of
-from edream.practice.sampling import demonstrations, held_out
+from edream.practice.rehearsing import RolloutOptions, calm, cell_of, needs_of, physics_for, shards_of, sources_of
+from edream.practice.sampling import demonstrations, held_out, with_twins
 from edream.vision.variants import DreamOptions
 
 HISTORY = "history.json"
@@ -60,7 +60,8 @@ class RlConfig:
 
 def needs(config: RlConfig) -> tuple[str, ...]:
     """The trials and their ranks, the policy that training began with, and what trials of held-out starts need."""
-    return ("ingest", "sft", "rollouts", "rank", *needs_of(config.rollouts.model, config.rollouts.eyes))
+    twins = ("twins",) if config.sft.twins else ()
+    return ("ingest", "sft", "rollouts", "rank", *twins, *needs_of(config.rollouts))
 
 
 def run(inputs: Mapping[str, Artifact], config: RlConfig, work: Work) -> Bundle:
@@ -97,8 +98,8 @@ def run(inputs: Mapping[str, Artifact], config: RlConfig, work: Work) -> Bundle:
         "rejected": told[-1]["rejected"],
     }
     summary = {
-        "sentence": f"Round {round_} of {config.policy.rl}: held-out starts in the simulator from {100 * tried[0]['success']:.0f} % "
-        f"to {100 * tried[best]['success']:.0f} % success.",
+        "sentence": f"Round {round_} of {config.policy.rl}: success on held-out starts in the simulator from "
+        f"{100 * tried[0]['success']:.0f} % to {100 * tried[best]['success']:.0f} % success.",
         **row,
         "weights_digest": weights_digest(weights),
     }
@@ -178,9 +179,8 @@ def _demonstrations(inputs: Mapping[str, Artifact], about: PolicyAbout, config: 
         return ChunkBatches([], about, config.sft.batch, config.seed)
     made, _, _ = demonstrations(episodes, about.order, config.policy, folder)
     held = held_out(len(made), config.sft.held, config.seed)
-    return ChunkBatches(
-        [one for n, one in enumerate(made) if n not in held], about, config.sft.batch, config.seed, config.sft.shake
-    )
+    taught = with_twins([(n, one) for n, one in enumerate(made) if n not in held], inputs.get("twins"), folder)
+    return ChunkBatches(taught, about, config.sft.batch, config.seed, config.sft.shake)
 
 
 def _tensors(weights: Mapping[str, np.ndarray]) -> dict[str, torch.Tensor]:
@@ -188,7 +188,7 @@ def _tensors(weights: Mapping[str, np.ndarray]) -> dict[str, torch.Tensor]:
 
 
 def sources(config: RlConfig) -> Mapping[str, Source]:
-    found: dict[str, Any] = {"robot": config.robot.content()}
+    found: dict[str, Any] = {"robot": config.robot.content(), **sources_of(config.rollouts)}
     return found | ({"objects": config.policy.objects} if config.policy.objects else {})
 
 

@@ -9,7 +9,7 @@ from edream.practice.about import ABOUT, WEIGHTS, PolicyAbout
 from edream.practice.collecting import TRIALS, Manner, Player, collected, outcomes_of
 from edream.practice.dreaming import eyes_of
 from edream.practice.rates import rate
-from edream.practice.rehearsing import RolloutOptions, cell_of, needs_of, physics_for, shards_of
+from edream.practice.rehearsing import RolloutOptions, cell_of, needs_of, physics_for, shards_of, sources_of
 from edream.vision.variants import DreamOptions
 
 HISTORY = "history.json"
@@ -37,7 +37,7 @@ class RolloutsConfig:
 
 def needs(config: RolloutsConfig) -> tuple[str, ...]:
     """The policy, which is the supervised one or that of the round before, the physics, and what the eyes need."""
-    return (policy_of(config), *needs_of(config.rollouts.model, config.rollouts.eyes))
+    return (policy_of(config), *needs_of(config.rollouts))
 
 
 def policy_of(config: RolloutsConfig) -> str:
@@ -69,13 +69,13 @@ def run(inputs: Mapping[str, Artifact], config: RolloutsConfig, work: Work) -> B
         "physics": len(cells),
     }
     kept = {f"trials/{number:05d}.safetensors": shard.path(TRIALS) for number, shard in enumerate(found)}
-    history = source.get(HISTORY, [])
+    history = source[HISTORY] if HISTORY in source else []  # noqa: SIM401 - an artifact has no default
     policy = {WEIGHTS: source[WEIGHTS], ABOUT: source[ABOUT], HISTORY: history}
     return kept | policy | {"outcomes.parquet": outcomes, "summary.json": summary}
 
 
 def sources(config: RolloutsConfig) -> Mapping[str, Source]:
-    return {"robot": config.robot.content()}
+    return {"robot": config.robot.content(), **sources_of(config.rollouts)}
 
 
 ENTRY = Stage("rollouts", 1, needs, RolloutsConfig, run, sources, ("mujoco", "torch", "numpy"))

@@ -17,7 +17,7 @@ from edream.learn.training import AVERAGE, new_state, part, train
 from edream.practice.about import ABOUT, WEIGHTS, PolicyAbout
 from edream.practice.demonstrations import ChunkBatches
 from edream.practice.options import PolicyOptions, SftOptions, device_of
-from edream.practice.sampling import about_of, demonstrations, held_out
+from edream.practice.sampling import about_of, demonstrations, held_out, with_twins
 
 
 @dataclass(frozen=True)
@@ -34,11 +34,12 @@ def run(inputs: Mapping[str, Artifact], config: SftConfig, work: Work) -> Bundle
     """Train in pieces that are kept, judge each on the held-out demonstrations, keep the best."""
     order = config.robot.load().joints
     episodes = list(stored_episodes(inputs["ingest"]))
-    made, cameras, rate = demonstrations(episodes, order, config.policy, work.folder("images"))
+    folder = work.folder("images")
+    made, cameras, rate = demonstrations(episodes, order, config.policy, folder)
     held = held_out(len(made), config.sft.held, config.seed)
-    taught = [one for number, one in enumerate(made) if number not in held]
-    about = about_of(taught, order, cameras, rate, config.policy)
-    batches = ChunkBatches(taught, about, config.sft.batch, config.seed, config.sft.shake)
+    taught = [(number, one) for number, one in enumerate(made) if number not in held]
+    about = about_of([one for _, one in taught], order, cameras, rate, config.policy)
+    batches = ChunkBatches(with_twins(taught, inputs.get("twins"), folder), about, config.sft.batch, config.seed, config.sft.shake)
     judge = ChunkBatches([one for number, one in enumerate(made) if number in held], about, config.sft.batch, config.seed)
     with deterministic():
         pieces = _trained(about, batches, judge, config, work)
@@ -46,7 +47,7 @@ def run(inputs: Mapping[str, Artifact], config: SftConfig, work: Work) -> Bundle
     best = min(range(len(pieces)), key=lambda i: (curve[i]["l1"], i))
     weights = {name: value.numpy() for name, value in part(pieces[best]["state.safetensors"], AVERAGE).items()}
     about = replace(about, spread=max(float(curve[best]["l1"]), 1e-3))
-    steps = sum(len(one) for one in taught)
+    steps = sum(len(one) for _, one in taught)
     size = sum(array.size for array in weights.values())
     summary = {
         "sentence": f"{config.policy.kind} with {size / 1e6:.2f} M parameters learned from {len(taught)} demonstrations "
@@ -107,10 +108,15 @@ def heldout_l1(network: FittedPolicy, judge: ChunkBatches, options: SftOptions, 
     return total / max(count, 1.0)
 
 
+def needs(config: SftConfig) -> tuple[str, ...]:
+    """The recordings, and their twins where those are learned from too."""
+    return ("ingest", "twins") if config.sft.twins else ("ingest",)
+
+
 def sources(config: SftConfig) -> Mapping[str, Source]:
     """The robot, and the tracks of objects where the policy sees them."""
     found: dict[str, Any] = {"robot": config.robot.content()}
     return found | ({"objects": config.policy.objects} if config.policy.objects else {})
 
 
-ENTRY = Stage("sft", 1, ("ingest",), SftConfig, run, sources, ("torch", "numpy"))
+ENTRY = Stage("sft", 1, needs, SftConfig, run, sources, ("torch", "numpy"))

@@ -1,0 +1,78 @@
+"""Twins: every demonstration once more, as the simulator's eyes see it: measured robot, tracked things, photographed background."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from edream.calibration.settings import RobotSettings
+from edream.core.camera import from_json
+from edream.core.episode import Episode
+from edream.core.errors import EdreamError
+from edream.core.stage import Artifact, Bundle, Source, Stage, Work
+from edream.ingest.stored import stored_episodes
+from edream.practice.options import PolicyOptions
+from edream.practice.rehearsing import plate_of
+from edream.practice.sampling import demonstrations
+from edream.practice.twins import eye_of, twin_images
+from edream.vision.scene_file import read_scene
+
+
+@dataclass(frozen=True)
+class Tracked:
+    """Where the things were."""
+
+    scene: Path | None = None
+
+
+@dataclass(frozen=True)
+class Photographed:
+    """The bench without robot and things."""
+
+    plate: Path | None = None
+
+
+@dataclass(frozen=True)
+class TwinsConfig:
+    """What twins reads."""
+
+    robot: RobotSettings
+    policy: PolicyOptions
+    render: Tracked
+    rollouts: Photographed
+
+
+def run(inputs: Mapping[str, Artifact], config: TwinsConfig, work: Work) -> Bundle:
+    """Render each episode at its control steps, from the recordings' camera."""
+    if config.render.scene is None or config.rollouts.plate is None:
+        raise EdreamError("sft.twins needs render.scene=PATH, the tracks of the things, and rollouts.plate=PATH, the empty bench.")
+    robot, scene, plate = config.robot.load(), read_scene(config.render.scene), plate_of(config.rollouts.plate)
+    (name, camera), *_ = from_json(inputs["camera"]["cameras.json"], "cameras.json").items()
+    episodes = list(stored_episodes(inputs["ingest"]))
+    made, cameras, _ = demonstrations(episodes, robot.joints, config.policy, work.folder("images"))
+    if cameras != (name,):
+        raise EdreamError(f"sft.twins is for policies with the one camera {name!r}, not {', '.join(cameras) or 'none'}.")
+    eye = eye_of(robot, camera, scene, plate)
+
+    def one(number: int, rng: np.random.Generator) -> Bundle:
+        episode: Episode = episodes[number]
+        return {
+            "images.safetensors": {"images": twin_images(episode, made[number], robot.joints, eye, scene, plate, config.policy)}
+        }
+
+    try:
+        shards = work.shards("episodes", range(len(episodes)), one, parallel=False)
+    finally:
+        eye.close()
+    kept: Bundle = {f"images/{number:06d}.safetensors": shard.path("images.safetensors") for number, shard in enumerate(shards)}
+    frames = sum(len(demonstration) for demonstration in made)
+    return {**kept, "summary.json": {"sentence": f"{len(made)} demonstrations seen by the simulator, {frames} images."}}
+
+
+def sources(config: TwinsConfig) -> Mapping[str, Source]:
+    files = {"scene": config.render.scene, "plate": config.rollouts.plate}
+    return {"robot": config.robot.content()} | {name: path for name, path in files.items() if path is not None}
+
+
+ENTRY = Stage("twins", 1, ("ingest", "camera"), TwinsConfig, run, sources, ("mujoco", "numpy"))

@@ -1,0 +1,140 @@
+"""From demonstrations to a report of how often a policy succeeds, end to end, at the smallest size."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from omegaconf import DictConfig
+
+from edream import config, pipeline
+from edream.core.errors import EdreamError
+from edream.practice.bundle import RunningPolicy, write_bundle
+
+SMALL = [
+    "policy.height=32",
+    "policy.width=32",
+    "policy.options.dim=32",
+    "policy.options.heads=2",
+    "policy.options.feedforward=64",
+    "policy.options.encoder=1",
+    "policy.options.widths=[8,16,16]",
+    "policy.chunk=30",
+    "policy.stride=30",
+    "sft.train.steps=6",
+    "sft.checkpoint=2",
+    "sft.batch=8",
+    "sft.held=0.34",
+    "rollouts.model=published",
+    "rollouts.starts=2",
+    "rollouts.samples=2",
+    "rollouts.shard=2",
+    "rollouts.noise.action=0.5",
+    "rank.margin=0",
+    "rl.train.steps=2",
+    "rl.checkpoint=1",
+    "rl.held=1",
+    "rl.batch=2",
+    "evaluate.starts=2",
+    "evaluate.films=1",
+    "executor.workers=1",
+]
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory, rendering: None) -> Path:
+    """Three demonstrations with video."""
+    from edream.calibration.settings import RobotSettings
+    from edream.reality.cell_look import CellLook
+    from edream.record import RecordConfig
+    from edream.record_task import record_task
+
+    out = tmp_path_factory.mktemp("policy") / "demos"
+    robot = config.read(config.compose(["robot=arm6"]).robot, RobotSettings, "robot").load()
+    record_task(robot, "grab_paper_cup", RecordConfig(out, episodes=3, cell=CellLook(height=32, width=32)), seed=1)
+    return out
+
+
+def words(recorded: Path, runs: Path, *more: str) -> list[str]:
+    place = ["robot=arm6", "task=grab_paper_cup", f"data={recorded}", f"runs={runs}", "ingest.fps=25", "seed=1", "report.of=evaluate"]
+    return [*place, *SMALL, *more]
+
+
+def settings(recorded: Path, runs: Path, *more: str) -> DictConfig:
+    return config.compose(words(recorded, runs, *more))
+
+
+@pytest.fixture(scope="module")
+def made(recorded: Path, tmp_path_factory: pytest.TempPathFactory):
+    cfg = settings(recorded, tmp_path_factory.mktemp("runs"), "rl.rounds=2")
+    return cfg, pipeline.make_run("train-policy", ("evaluate", "report"), cfg)[0]
+
+
+def test_train_policy_goes_from_demonstrations_to_a_page_with_rates_and_films(made) -> None:
+    artifacts = made[1]
+    rows = artifacts["evaluate"]["summary.json"]["rates"]
+    assert [row["policy"] for row in rows] == ["sft", "rl"] and all(row["success"]["trials"] == 2 for row in rows)
+    page = artifacts["report"]["report.html"]
+    assert page.count("data:image/png;base64,") >= 2 and "Wilson" in page and 'src="http' not in page
+
+
+def test_a_round_is_played_by_the_policy_of_the_round_before(made) -> None:
+    cfg, artifacts = made
+    first = pipeline.make("rl", settings_of(cfg, 1))
+    rolled = pipeline.chain(pipeline.open_store(cfg), artifacts["rl"])["rollouts"]
+    assert [row["round"] for row in artifacts["rl"]["history.json"]] == [1, 2]
+    before, played = first["policy.safetensors"], rolled["policy.safetensors"]
+    assert all(np.array_equal(before[name], played[name]) for name in before)
+    starts = set(rolled["outcomes.parquet"]["start"].to_pylist())
+    assert starts == {10002, 10003}, "each round has starts of its own"
+
+
+def settings_of(cfg: DictConfig, rounds: int) -> DictConfig:
+    return pipeline.under(cfg, f"rl rl.rounds={rounds}")
+
+
+def test_a_second_run_makes_nothing_anew_and_gc_keeps_every_round(made) -> None:
+    cfg, artifacts = made
+    again = pipeline.make_run("train-policy", ("evaluate", "report"), cfg)[0]
+    assert {name: one.key for name, one in again.items()} == {name: one.key for name, one in artifacts.items()}
+    store = pipeline.open_store(cfg)
+    store.gc()
+    assert store.find("rl", pipeline.make("rl", settings_of(cfg, 1)).key) is not None
+
+
+def test_a_training_that_is_killed_goes_on_and_gives_the_same_weights(made, recorded: Path, tmp_path: Path) -> None:
+    runs = tmp_path / "runs"
+    program = "import sys; from edream import config, pipeline; pipeline.make('sft', config.compose(sys.argv[1:]))"
+    command = [sys.executable, "-c", program, *words(recorded, runs)]
+    killed = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True, env=os.environ)
+    until = time.monotonic() + 100
+    while not list((runs / "sft").glob(".work-*/train-0000000/000000/manifest.json")) and time.monotonic() < until:
+        assert killed.poll() is None or killed.returncode == 0, killed.stderr and killed.stderr.read()
+        time.sleep(0.005)
+    os.killpg(killed.pid, signal.SIGKILL)
+    killed.wait()
+    assert not list((runs / "sft").glob("*/manifest.json")), "it was killed in the middle of its training"
+    weights, whole = pipeline.make("sft", settings(recorded, runs))["policy.safetensors"], made[1]["sft"]["policy.safetensors"]
+    assert weights.keys() == whole.keys() and all(np.array_equal(weights[name], whole[name]) for name in whole)
+
+
+def test_a_bundle_does_what_the_policy_does(made, tmp_path: Path) -> None:
+    write_bundle(made[1]["rl"], tmp_path / "bundle")
+    policy = RunningPolicy(tmp_path / "bundle")
+    image = np.random.default_rng(0).integers(0, 255, (48, 48, 3)).astype(np.uint8)
+    first = [policy.act(np.zeros(7), {"cam_high": image}) for _ in range(3)]
+    policy.begin()
+    assert np.array_equal(policy.act(np.zeros(7), {"cam_high": image}), first[0]) and np.isfinite(first).all()
+    with pytest.raises(EdreamError, match="cam_high"):
+        policy.begin()
+        policy.act(np.zeros(7), {"cam_low": image})
+
+
+def test_without_a_sealed_truth_the_way_to_a_robot_is_told(recorded: Path, tmp_path: Path) -> None:
+    cfg = settings(recorded, tmp_path / "runs", f"evaluate.truth={tmp_path / 'none.json'}", "evaluate.of=[sft]")
+    with pytest.raises(EdreamError, match="export-policy"):
+        pipeline.make("evaluate", cfg)
