@@ -12,6 +12,8 @@ import edream.gym
 from edream import catalog
 from edream.core.errors import EdreamError
 from edream.reality.truth import seal
+from edream.vision.dreamer import Dreamer, Part
+from edream.vision.variants import DreamOptions, new_model, variants
 from tests.workcells import hidden
 
 
@@ -33,6 +35,24 @@ def test_reality_can_be_observed(rendering: None, tmp_path: Path) -> None:
     after, reward, terminated, truncated, info = env.step(env.action_space.sample())
     assert env.observation_space.contains(after) and reward == 0.0 and not terminated and not truncated
     assert set(info) >= {"success", "grasped", "distance"}
+    env.close()
+
+
+def test_dreams_can_be_observed_and_repeat_themselves(rendering: None) -> None:
+    options = DreamOptions(
+        codec=Part("pixel_unshuffle", {"factor": 4}),
+        denoiser=Part("unet", {"widths": (24, 32), "heads": 2}),
+        objective=Part("bridge", {"noise": 0.1}),
+    )
+    model = new_model(options, variants(options, ("sim",))[0], 0)
+    dreamer = Dreamer(model, np.full((32, 32, 3), 120, np.uint8), seed=1)
+    env = gymnasium.make("edream/GrabPaperCup-v0", observed="dreamed", dreamer=dreamer, height=32, width=32)
+    seen, action = [], env.unwrapped.world.low * 0.5  # type: ignore[attr-defined]
+    for _ in range(2):
+        first, _ = env.reset(seed=3)
+        seen.append([first["cam_high"], env.step(action)[0]["cam_high"]])
+    assert all(np.array_equal(one, two) for one, two in zip(*seen, strict=True))
+    assert seen[0][0].shape == (32, 32, 3) and np.abs(seen[0][0].astype(int) - 120).max() > 20  # the robot is in it
     env.close()
 
 
