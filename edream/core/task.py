@@ -129,13 +129,11 @@ class Task(ABC):
         name: its name.
         sentence: what is to be done, as one would tell a person.
         seconds: how long a trial lasts [s].
-        held: name of the thing that is to be grasped.
     """
 
     name: str
     sentence: str
     seconds: float
-    held: str
 
     @abstractmethod
     def things(self, rng: np.random.Generator) -> tuple[Thing, ...]:

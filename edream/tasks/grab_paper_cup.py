@@ -15,10 +15,11 @@ TILT = 0.55
 
 
 class GrabPaperCup(Task):
+    """A cup of paper stands before the arm. Done when, at the end, it is between both fingers, upright, 5 cm or more above the table."""
+
     name = "grab_paper_cup"
     sentence = "Grab the paper cup and lift it."
     seconds = 6.0
-    held = "cup"
 
     def things(self, rng: np.random.Generator) -> tuple[Thing, ...]:
         far, side = rng.uniform(0.24, 0.37), rng.uniform(-0.45, 0.45)

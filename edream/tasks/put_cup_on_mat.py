@@ -14,10 +14,11 @@ NEAR = 0.03  # how far the cup's middle may be from the mat's [m]
 
 
 class PutCupOnMat(Task):
+    """A cup stands beside a round mat. Done when it stands upright on the mat, within 3 cm of its middle, let go."""
+
     name = "put_cup_on_mat"
     sentence = "Put the cup on the mat."
     seconds = 9.0
-    held = "cup"
 
     def things(self, rng: np.random.Generator) -> tuple[Thing, ...]:
         one, two = rng.permutation([-1.0, 1.0]) * rng.uniform(0.16, 0.38, 2)

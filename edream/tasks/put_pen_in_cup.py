@@ -16,10 +16,11 @@ SINK = np.array([0.0, 0.0, 0.008])  # how far above the pen's axis the fingertip
 
 
 class PutPenInCup(Task):
+    """A pen lies and a cup stands before the arm. Done when one end of the pen is in the lower half of the standing cup, let go."""
+
     name = "put_pen_in_cup"
     sentence = "Put the pen into the cup."
     seconds = 10.0
-    held = "pen"
 
     def things(self, rng: np.random.Generator) -> tuple[Thing, ...]:
         one, two = rng.permutation([-1.0, 1.0]) * rng.uniform(0.18, 0.36, 2)

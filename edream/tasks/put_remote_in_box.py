@@ -13,10 +13,11 @@ TILT = 0.45
 
 
 class PutRemoteInBox(Task):
+    """A remote control lies beside an open box. Done when its middle is inside the box, let go."""
+
     name = "put_remote_in_box"
     sentence = "Put the remote control into the box."
     seconds = 9.0
-    held = "remote"
 
     def things(self, rng: np.random.Generator) -> tuple[Thing, ...]:
         one, two = rng.permutation([-1.0, 1.0]) * rng.uniform(0.2, 0.4, 2)
