@@ -15,7 +15,7 @@ TILT = 0.55
 
 
 class GrabPaperCup(Task):
-    """A cup of paper stands before the arm. Done when, at the end, it is between both fingers, upright, 5 cm or more above the table."""
+    """A paper cup stands before the arm. Done when, at the end, it is between both fingers, upright, 5 cm or more up."""
 
     name = "grab_paper_cup"
     sentence = "Grab the paper cup and lift it."
