@@ -60,7 +60,15 @@ def recorded(tmp_path_factory: pytest.TempPathFactory, rendering: None) -> Path:
 
 
 def words(recorded: Path, runs: Path, *more: str) -> list[str]:
-    place = ["robot=arm6", "task=grab_paper_cup", f"data={recorded}", f"runs={runs}", "ingest.fps=25", "seed=1", "report.of=evaluate"]
+    place = [
+        "robot=arm6",
+        "task=grab_paper_cup",
+        f"data={recorded}",
+        f"runs={runs}",
+        "ingest.fps=25",
+        "seed=1",
+        "report.of=evaluate",
+    ]
     return [*place, *SMALL, *more]
 
 

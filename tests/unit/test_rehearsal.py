@@ -1,0 +1,93 @@
+"""Trials in the simulated workcell: what the policy is shown there, and which physics it meets."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from edream import config, kinds
+from edream.calibration.settings import RobotSettings
+from edream.core.bench import bench_of
+from edream.core.camera import pinhole
+from edream.core.errors import EdreamError
+from edream.core.scene import Scene
+from edream.practice.dreaming import Dreaming, open_dreamed
+from edream.practice.rehearsing import RolloutOptions, calm, needs_of, shards_of
+from edream.practice.trial import Chance
+from edream.practice.twins import eye_of
+from edream.practice.worlds import CompositeEyes, RawEyes, Workcell, open_workcell, over
+from edream.sim.robot import RobotModel
+from edream.vision.dreamer import DreamModel
+from edream.vision.trained import file_of
+from edream.vision.variants import DREAM, DreamOptions, Part
+
+SIZE = 48
+
+
+@pytest.fixture(scope="module")
+def robot() -> RobotModel:
+    return config.read(config.compose(["robot=arm6"]).robot, RobotSettings, "robot").load()
+
+
+@pytest.fixture(scope="module")
+def cell(robot: RobotModel, rendering: None) -> Workcell:
+    view = bench_of("arm6").view("cam_high")
+    placed = {"cam_high": pinhole(SIZE, SIZE, view.fovy, np.array(view.pose))}
+    return Workcell(
+        "arm6", robot.mjcf, "grab_paper_cup", 25.0, ("cam_high",), SIZE, SIZE, dict(robot.assets), robot.site, placed=placed
+    )
+
+
+def test_a_twin_shows_what_the_simulator_s_eyes_show(cell: Workcell, robot: RobotModel) -> None:
+    world = open_workcell(cell)
+    seen = world.reset(5)
+    plate = np.full((SIZE, SIZE, 3), (150, 110, 80), np.uint8)
+    composite = CompositeEyes(plate).look(world, seen)["cam_high"]
+    thing = world.scene.layout.thing("cup").proxy
+    eye = eye_of(robot, cell.placed["cam_high"], Scene((thing,)), plate)
+    found = eye.see(dict(zip(robot.joints, world.data.qpos[world._qpos], strict=True)), {"cup": world.state()["cup"]})
+    twin = over(plate, found.colour, np.maximum(found.robot, found.object))
+    eye.close()
+    assert (found.object > 0).any() and (found.robot > 0).any()
+    assert np.abs(twin.astype(float) - composite).mean() < 3.0
+    assert np.abs(composite.astype(float) - plate).mean() > 3.0, "the comparison must be able to fail"
+    raw = RawEyes().look(world, seen)["cam_high"]
+    assert raw.shape == (SIZE, SIZE, 3) and not np.array_equal(raw, composite)
+    world.close()
+
+
+def test_dreamed_eyes_are_the_same_for_the_same_trial_and_remember_only_their_own(cell: Workcell, tmp_path: Path) -> None:
+    options = DreamOptions(Part("pixel_unshuffle"), Part("unet", {"widths": [16, 24], "heads": 2}), Part("bridge", {"noise": 0.03}))
+    model = DreamModel.of(options.codec, options.denoiser, options.objective, 3)
+    path = tmp_path / file_of(DREAM)
+    kinds.write({name: value.numpy() for name, value in model.denoiser.state_dict().items()}, path)
+    plate = np.full((SIZE, SIZE, 3), 120, np.uint8)
+    eyes = open_dreamed(Dreaming({file_of(DREAM): path}, options, plate, (0.0,) * 8, 3))
+    world = open_workcell(cell)
+    films = []
+    for _ in range(2):
+        seen = world.reset(5)
+        eyes.begin(world, 0)
+        films.append([eyes.look(world, seen)["cam_high"] for _ in range(2)])
+    world.close()
+    assert films[0][0].shape == (SIZE, SIZE, 3) and films[0][0].dtype == np.uint8
+    assert all(np.array_equal(a, b) for a, b in zip(*films, strict=True))
+
+
+def test_trials_of_one_start_are_spread_over_the_physics(cell: Workcell) -> None:
+    shards = shards_of([cell, cell], range(4), 2, 3)
+    turns = [turn for shard in shards for turn in shard.turns]
+    assert sorted(turns) == [(start, sample) for start in range(4) for sample in range(2)]
+    assert all(len(shard.turns) <= 3 for shard in shards)
+    first = {turn for shard in shards[:2] for turn in shard.turns}
+    assert all(sum((start, sample) in first for sample in range(2)) == 1 for start in range(4))
+
+
+def test_needs_follow_from_physics_and_eyes_and_calm_leaves_nothing_to_chance() -> None:
+    assert needs_of(RolloutOptions(model="published")) == ()
+    assert needs_of(RolloutOptions(model="diagnose", eyes="dreamed")) == ("diagnose", "camera", "condition", "dream")
+    assert needs_of(RolloutOptions(eyes="composite")) == ("fit", "camera", "masks")
+    quiet = calm(RolloutOptions(noise=Chance(0.1, 0.1, 1.0, 0.2)))
+    assert quiet.draws == 0 and quiet.noise == Chance()
+    with pytest.raises(EdreamError, match=r"rollouts\.samples"):
+        RolloutOptions(samples=1)
