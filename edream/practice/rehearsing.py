@@ -117,7 +117,7 @@ def physics_for(
 def drawn_physics(
     robot: RobotModel, made: Mapping[str, Any], settings: SpaceSettings, options: RolloutOptions, folder: Path, seed: int
 ) -> list[Physics]:
-    """Robots drawn from what a fit knows: every parameter within its interval, the grip by its share.
+    """Robots drawn from what a fit knows, the grip by its share.
 
     Raises:
         EdreamError: the fit's parameters are not those of the config.
@@ -125,24 +125,45 @@ def drawn_physics(
     simulated = simulated_robot(robot, settings)
     estimates = made["summary.json"]["parameters"]
     if set(estimates) != set(simulated.space.names):
-        raise EdreamError("The fit's parameters are not those of fit.effects; run edream calibrate with the same settings.")
+        raise EdreamError("The fit's parameters are not those of fit.effects; calibrate with the same settings.")
+    sets = drawn_values(estimates, made["details.json"]["correlation"], options.draws, seed)
     found = []
-    for number in range(options.draws):
-        rng = np.random.default_rng((seed, 0xF17, number))
-        values = np.array([_drawn(estimates[name], rng) for name in simulated.space.names])
-        model = emit(simulated, values)
+    for number, values in enumerate(sets):
+        model = emit(simulated, np.array([values[name] for name in simulated.space.names]))
         hook = None
         if model.hook:
             hook = folder / f"hook_{number}.py"
             hook.write_text(model.hook)
+        rng = np.random.default_rng((seed, 0xF18, number))
         found.append(Physics(model.mjcf, hook, float(1.0 + options.grip * rng.uniform(-1.0, 1.0))))
     return found
 
 
-def _drawn(estimate: Mapping[str, Any], rng: np.random.Generator) -> float:
-    low, high = estimate["interval"]
-    value = estimate["value"] + (high - low) / (2 * 1.96) * rng.standard_normal()
-    return float(np.clip(value, low, high))
+def drawn_values(
+    estimates: Mapping[str, Mapping[str, Any]], correlation: Mapping[str, Any], count: int, seed: int
+) -> list[dict[str, float]]:
+    """Sets of parameters, normal within their intervals and correlated as the fit left them.
+
+    What the data do not tell stays as it was fitted: its interval is its box, and a draw from that would be no posterior but a guess.
+
+    Args:
+        estimates: name -> value, interval, status.
+        correlation: names, and values (P, P).
+    """
+    names = [name for name, one in estimates.items() if one["status"] == "converged"]
+    sets = [{name: float(one["value"]) for name, one in estimates.items()} for _ in range(count)]
+    if not names:
+        return sets
+    rows = [correlation["names"].index(name) for name in names]
+    matrix = np.array(correlation["values"])[np.ix_(rows, rows)]
+    spread = np.array([(estimates[n]["interval"][1] - estimates[n]["interval"][0]) / (2 * 1.96) for n in names])
+    weights, axes = np.linalg.eigh(0.5 * (matrix + matrix.T))
+    root = axes * np.sqrt(np.maximum(weights, 0.0))
+    for number, one in enumerate(sets):
+        step = spread * (root @ np.random.default_rng((seed, 0xF17, number)).standard_normal(len(names)))
+        for name, change in zip(names, step, strict=True):
+            one[name] = float(np.clip(one[name] + change, *estimates[name]["interval"]))
+    return sets
 
 
 def cell_of(

@@ -12,7 +12,7 @@ from edream.core.camera import pinhole
 from edream.core.errors import EdreamError
 from edream.core.scene import Scene
 from edream.practice.dreaming import Dreaming, open_dreamed
-from edream.practice.rehearsing import RolloutOptions, calm, needs_of, shards_of
+from edream.practice.rehearsing import RolloutOptions, calm, drawn_values, needs_of, shards_of
 from edream.practice.trial import Chance
 from edream.practice.twins import eye_of
 from edream.practice.worlds import CompositeEyes, RawEyes, Workcell, open_workcell, over
@@ -91,3 +91,20 @@ def test_needs_follow_from_physics_and_eyes_and_calm_leaves_nothing_to_chance() 
     assert quiet.draws == 0 and quiet.noise == Chance()
     with pytest.raises(EdreamError, match=r"rollouts\.samples"):
         RolloutOptions(samples=1)
+
+
+def test_physics_is_drawn_with_the_fit_s_correlation_and_only_where_the_data_tell() -> None:
+    def estimate(value: float, low: float, high: float, status: str) -> dict[str, object]:
+        return {"value": value, "interval": [low, high], "status": status}
+
+    estimates = {
+        "a": estimate(1.0, 0.8, 1.2, "converged"),
+        "b": estimate(5.0, 0.0, 90.0, "not_identifiable"),
+        "c": estimate(2.0, 1.6, 2.4, "converged"),
+    }
+    matrix = [[1.0, 0.0, -0.98], [0.0, 1.0, 0.0], [-0.98, 0.0, 1.0]]
+    sets = drawn_values(estimates, {"names": ["a", "b", "c"], "values": matrix}, 200, 3)
+    a, b, c = (np.array([one[name] for one in sets]) for name in ("a", "b", "c"))
+    assert set(b.tolist()) == {5.0}
+    assert np.corrcoef(a, c)[0, 1] < -0.9 and 0.05 < a.std() < 0.12
+    assert (a >= 0.8).all() and (a <= 1.2).all()
