@@ -5,6 +5,7 @@ from collections.abc import Mapping
 import mujoco
 import numpy as np
 
+from edream.core.effect import joint_index
 from edream.core.errors import unknown_name
 from edream.reality.truth import Hidden, Truth
 
@@ -121,6 +122,21 @@ def _nuisance_value(hidden: Hidden, truth: Truth) -> dict[str, float]:
     if hidden.name == "coulomb":
         return {"torque": true["frictionloss"] + hidden.values["torque"]}
     return {"inertia": true["armature"] + hidden.values["inertia"]}
+
+
+def is_usual(hidden: Hidden, truth: Truth, model: mujoco.MjModel) -> bool:
+    """Whether what is hidden leaves a usual number within 30 % of its published value, where no method can call it an effect."""
+    if hidden.name not in ("servo_gain", "viscous", "coulomb", "armature"):
+        return False
+    index = joint_index(model, hidden.targets[0])
+    kp, kd = -model.actuator_biasprm[index["actuator"], 1:3]
+    published = {
+        "kp": kp,
+        "damping": model.dof_damping[index["dof"]] + kd,
+        "torque": model.dof_frictionloss[index["dof"]],
+        "inertia": model.dof_armature[index["dof"]],
+    }
+    return all(abs(value - published[name]) <= 0.3 * published[name] for name, value in _nuisance_value(hidden, truth).items())
 
 
 def _tilt(roll: float, pitch: float, gravity: np.ndarray) -> dict[str, float]:

@@ -6,7 +6,7 @@ from typing import Any
 import mujoco
 
 from benchmarks.blind.cases import Case
-from benchmarks.blind.names import library_name, true_targets, true_values
+from benchmarks.blind.names import is_usual, library_name, true_targets, true_values
 from edream.reality.truth import Truth
 
 CLOSE = 0.10  # a value this near to the truth counts, as does one inside its interval
@@ -43,6 +43,7 @@ def score(case: Case, truth: Truth, model: mujoco.MjModel, result: Mapping[str, 
     if case.sort == "foreign":
         gap = result["gap"]
         return row | {"right": result["verdict"] == "unnamed" and gap["after_rad"] < REDUCED * gap["before_rad"]}
+    row["usual"] = all(is_usual(h, truth, model) for h in truth.effects)
     expected = [(library_name(h.name), true_targets(h, model)) for h in truth.effects]
     found = [_found(name, targets, result) for name, targets in expected]
     row["expected"] = [label(name, targets) for name, targets in expected]

@@ -59,6 +59,9 @@ class Effect(ABC):
             [N m] or `state.torque` [N m]. `index` is `joint_index` of the first target, and the same with "other_" for a pair's
             second. It is written into the emitted hook file as it stands, so it uses only its arguments and `np`.
         late: whether it changes what other effects wrote, and so comes after them.
+        of_type: whether its numbers belong to a type of hardware, so that joints of one type may share them, rather than to one
+            assembly, as a zero offset does.
+        special: a simpler effect that this one is where one of its quantities has a certain value: (effect, quantity, value).
     """
 
     name: str
@@ -67,6 +70,8 @@ class Effect(ABC):
     confusable: tuple[str, ...] = ()
     hook: Hook | None = None
     late: bool = False
+    of_type: bool = True
+    special: tuple[str, str, float] | None = None
 
     @abstractmethod
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:

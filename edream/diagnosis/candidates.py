@@ -88,7 +88,8 @@ def groups_of(problem: Problem, candidates: Sequence[Candidate]) -> list[Candida
     """One effect on several single joints, as one candidate over each hardware group of which at least two are among them."""
     out = []
     for effect in dict.fromkeys(c.effect for c in candidates):
-        if load("effects", effect, Effect).place != "joint":
+        entry = load("effects", effect, Effect)
+        if entry.place != "joint" or not entry.of_type:
             continue
         places = {target for c in candidates if c.effect == effect for target in c.targets}
         out += [Candidate(effect, group) for group in problem.groups if len(group) > 1 and len(places & set(group)) >= 2]

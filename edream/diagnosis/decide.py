@@ -21,6 +21,7 @@ FOLDS = 5
 REFITTED, GROUPS, FINISHED = 8, 4, 6
 HOPELESS = 0.4  # of the best candidate's gain after two steps: those below are not refitted to the end
 DRAWS = 4000
+AS_WELL = 0.97  # of the share that an effect closes: its special case closes as much
 DISTINCT = 0.5  # of the floor squared, or of the error where that is larger
 SERIOUS_SHARE = 0.01
 SMALL, FAR = 10, 20.0  # at most so many numbers and a gap of so many floors: every refit starts from several places
@@ -133,12 +134,20 @@ def forward(problem: Problem, fit: Fit, done: Callable[[str, int], object] = lam
         scored = screen(problem, fit, lambda n: done("screening", n))
         trials = try_best(problem, fit, errors, scored, lambda n: done("refitting", n))
         trials = with_confusable(problem, fit, errors, scored, trials, lambda n: done("refitting", n))
-        taken = next((t for t in trials if passes(problem, t)), None)
+        taken = simplest([t for t in trials if passes(problem, t)])
         rounds.append(Round(fit, errors, scored, trials, taken))
         if taken is None:
             break
         fit = descend(replace(taken.fit, scale=worth(taken.fit.objective, taken.fit.residual)), None, 3)
     return fit, rounds
+
+
+def simplest(passing: Sequence[Trial]) -> Trial | None:
+    """The best of the candidates that pass, or the special case of it that does as well; None where none passes."""
+    if not passing or (special := load("effects", passing[0].candidate.effect, Effect).special) is None:
+        return passing[0] if passing else None
+    plain = Candidate(special[0], passing[0].candidate.targets)
+    return next((t for t in passing if t.candidate == plain and t.closed >= AS_WELL * passing[0].closed), passing[0])
 
 
 def try_best(
@@ -318,13 +327,19 @@ def without(fit: Fit, candidate: Candidate) -> Fit:
 def rivals(problem: Problem, trials: Sequence[Trial], winner: Trial) -> list[tuple[Trial, bool]]:
     """The other candidates of a round, and whether left-out motions can tell each from the winner.
 
-    They can where a paired bootstrap says so and the difference is more than two correct simulators may have between them.
+    They can where a paired bootstrap says so and the difference is more than two correct simulators may have between them. An
+    effect of which the winner is a special case is no other answer.
     """
     out = []
     least = DISTINCT * max(problem.floor**2, float(winner.errors.mean()))
     for trial in trials:
-        if trial.candidate != winner.candidate:
+        if trial.candidate != winner.candidate and not _contains(trial.candidate, winner.candidate):
             worse = trial.errors - winner.errors
             low, _ = bootstrap(worse, problem.settings.seed)
             out.append((trial, low > 0.0 and float(worse.mean()) > least))
     return out
+
+
+def _contains(one: Candidate, other: Candidate) -> bool:
+    special = load("effects", one.effect, Effect).special
+    return special is not None and special[0] == other.effect and one.targets == other.targets

@@ -16,6 +16,8 @@ from edream.sim.rollout import Window, rollout
 SECONDS, RATE, SETTLE = 20.0, 50.0, 1.0
 DRAWN, JUDGED, CHANGED = 40, 6, 4
 MARGIN = 0.05  # of a joint's range is kept free at either end
+INVISIBLE = 0.01  # floors: predictions this near are the same
+TELLING = 1.0  # nat of evidence that a motion must promise
 HASTE = 1.2  # times the fastest command of the recordings
 
 
@@ -45,7 +47,7 @@ class Room:
     speed: Float[np.ndarray, "J"]
 
 
-def suggest(problem: Problem, contenders: Sequence[Fit], rng: np.random.Generator) -> Motion:
+def suggest(problem: Problem, contenders: Sequence[Fit], rng: np.random.Generator) -> Motion | None:
     """The motion, out of many drawn at random, that best separates models which the recordings cannot tell apart.
 
     The evidence that a motion would give between two models is the squared difference of their predictions, weighed by the noise
@@ -53,25 +55,36 @@ def suggest(problem: Problem, contenders: Sequence[Fit], rng: np.random.Generato
 
         E = 1/2 d^T (s^2 I + J C J^T)^-1 d,  d = prediction 1 - prediction 2, J = d prediction / d numbers, C = their covariance;
 
-    the motion with the largest least evidence over all pairs wins. Source: Hunter, Reiner, Technometrics 7(3), 1965; Box, Hill,
-    Technometrics 9(1), 1967.
+    the motion with the largest least evidence over all pairs wins; pairs that none separates are left aside.
+    Source: Hunter, Reiner, Technometrics 7(3), 1965; Box, Hill, Technometrics 9(1), 1967.
 
     Args:
         problem: robot, recordings and noise.
         contenders: the fitted models, at least two.
         rng: where chance comes from.
+
+    Returns:
+        The motion; None where no motion would tell any two of them apart.
     """
     room = room_of(problem)
     drawn = [draw(room, rng) for _ in range(DRAWN)]
-    rough = separations(problem, contenders, drawn)
+    rough = _least(separations(problem, contenders, drawn), (INVISIBLE * problem.floor) ** 2)
     best = [drawn[i] for i in np.argsort(-rough)[:JUDGED]]
     changed = [mixed(one, drawn[int(rng.integers(DRAWN))], rng) for one in best for _ in range(CHANGED)]
-    rough = separations(problem, contenders, changed)
+    rough = _least(separations(problem, contenders, changed), (INVISIBLE * problem.floor) ** 2)
     best += [changed[i] for i in np.argsort(-rough)[:JUDGED]]
-    sure = evidences(problem, contenders, best)
+    sure = _least(evidences(problem, contenders, best), TELLING)
     winner = int(np.argmax(sure))
+    if sure[winner] < TELLING:
+        return None
     times = np.arange(len(best[winner])) / RATE
     return Motion(problem.fitted[0].episode.joints, times, best[winner], float(sure[winner]))
+
+
+def _least(pairs: Float[np.ndarray, "M pairs"], worth: float) -> Float[np.ndarray, "M"]:
+    """The least of each motion over the pairs that some motion separates by `worth`; 0 where there is no such pair."""
+    told = pairs.max(axis=0) >= worth
+    return pairs[:, told].min(axis=1) if told.any() else np.zeros(len(pairs))
 
 
 def room_of(problem: Problem) -> Room:
@@ -137,23 +150,23 @@ def as_window(problem: Problem, command: Float[np.ndarray, "K J"]) -> Window:
     return Window(episode, 0, len(times) - 1)
 
 
-def separations(problem: Problem, contenders: Sequence[Fit], motions: Sequence[np.ndarray]) -> Float[np.ndarray, "M"]:
-    """Least mean squared difference [rad^2] between any two models' predictions of each motion."""
+def separations(problem: Problem, contenders: Sequence[Fit], motions: Sequence[np.ndarray]) -> Float[np.ndarray, "M pairs"]:
+    """Mean squared difference [rad^2] between every two models' predictions of each motion."""
     windows = [as_window(problem, one) for one in motions]
     predicted = [rollout(f.objective.simulated, f.values, windows, problem.settings.threads) for f in contenders]
     pairs = list(combinations(predicted, 2))
-    least = [[np.mean((a[m][0] - b[m][0])[:, problem.counted] ** 2) for a, b in pairs] for m in range(len(motions))]
-    return np.nan_to_num(np.min(least, axis=1), nan=0.0)
+    apart = [[np.mean((a[m][0] - b[m][0])[:, problem.counted] ** 2) for a, b in pairs] for m in range(len(motions))]
+    return np.nan_to_num(np.array(apart), nan=0.0)
 
 
-def evidences(problem: Problem, contenders: Sequence[Fit], motions: Sequence[np.ndarray]) -> Float[np.ndarray, "M"]:
-    """Least expected log-likelihood ratio [nat] between any two models over each motion."""
+def evidences(problem: Problem, contenders: Sequence[Fit], motions: Sequence[np.ndarray]) -> Float[np.ndarray, "M pairs"]:
+    """Expected log-likelihood ratio [nat] between every two models over each motion."""
     windows = [as_window(problem, one) for one in motions]
     predictions = [_with_slopes(problem, fit, windows) for fit in contenders]
     out = []
     for m in range(len(motions)):
         pairs = combinations([one[m] for one in predictions], 2)
-        out.append(min(min(_evidence(problem, a, b), _evidence(problem, b, a)) for a, b in pairs))
+        out.append([min(_evidence(problem, a, b), _evidence(problem, b, a)) for a, b in pairs])
     return np.nan_to_num(np.array(out), nan=0.0)
 
 

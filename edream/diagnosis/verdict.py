@@ -102,7 +102,7 @@ def diagnose(problem: Problem, done: Callable[[str, int], object] = lambda text,
     ladder += [(_label(t), np.sqrt(proof_errors(problem, t.fit))) for t in taken]
     fit, kept = backward(problem, fit, [t.candidate for t in taken])
     trials = [t for t in taken if t.candidate in kept]
-    effects = [_named(problem, fit, t, rounds) for t in trials]
+    effects = [_named(problem, fit, t, rounds, trials) for t in trials]
     suspects: list[Suspect] = []
     if not trials and (numbers := off_nominal(problem, fit)):
         strange = [placement(problem, Candidate(n.name, n.targets)).full_name(q) for n in numbers for q in n.values]
@@ -150,9 +150,10 @@ def _label(trial: Trial) -> str:
     return f"+ {trial.candidate.label}"
 
 
-def _named(problem: Problem, fit: Fit, trial: Trial, rounds: Sequence[Round]) -> Named:
+def _named(problem: Problem, fit: Fit, trial: Trial, rounds: Sequence[Round], taken: Sequence[Trial]) -> Named:
     own = next(r for r in rounds if r.taken is trial)
-    others = rivals(problem, own.trials, trial)
+    # what is named beside it is not an alternative to it
+    others = [(t, told) for t, told in rivals(problem, own.trials, trial) if t.candidate not in [one.candidate for one in taken]]
     alike = tuple(
         other.candidate.label
         for other, told in others
@@ -272,8 +273,7 @@ def sentence(verdict: Verdict, effects: Sequence[Named], remainder: Remainder | 
     if verdict == "cannot_tell":
         doubtful = [one for one in effects if one.confusable_with]
         names = "; ".join(f"{one.name} may be {' or '.join(one.confusable_with)}" for one in doubtful)
-        missing = f"Your simulator lacks {_and(parts)}"
-        return f"{missing}, but these motions cannot tell it from others: {names}. Record the suggested motion."
+        return f"Your simulator lacks {_and(parts)}, but these motions cannot tell it from others: {names}."
     return f"Your simulator lacks {_and(parts)}."
 
 

@@ -27,6 +27,7 @@ class Cogging(Effect):
     summary = "a torque ripple that repeats with the angle (cogging)"
     place = "joint"
     confusable = ("position_friction", "spring")
+    of_type = False
 
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
         return (

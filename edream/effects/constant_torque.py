@@ -3,12 +3,11 @@
 from collections.abc import Sequence
 
 import mujoco
-import numpy as np
 
 from edream.core.effect import Effect, Fields, Values
 from edream.core.parameters import Parameter
 from edream.sim.scales import largest
-from edream.sim.servo import NO_INPUT, device, passive_device
+from edream.sim.servo import NO_INPUT, TURNED, device, passive_device
 
 
 class ConstantTorque(Effect):
@@ -24,6 +23,7 @@ class ConstantTorque(Effect):
     summary = "a constant torque"
     place = "joint"
     confusable = ("gravity_tilt", "encoder_offset", "spring", "payload", "asymmetric_coulomb")
+    of_type = False
 
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
         high = largest(model, targets)
@@ -31,7 +31,7 @@ class ConstantTorque(Effect):
 
     def edit(self, spec: mujoco.MjSpec, target: str) -> None:
         device_ = passive_device(spec, target, "constant_torque")
-        device_.set_to_dcmotor(motorconst=[0.0, 0.0], resistance=1.0, cogging=[1e-9, 0.0, np.pi / 2.0], ctrlspec=NO_INPUT)
+        device_.set_to_dcmotor(motorconst=[0.0, 0.0], resistance=1.0, cogging=[1e-9, 0.0, TURNED], ctrlspec=NO_INPUT)
 
     def write(self, fields: Fields, target: str, values: Values) -> None:
         fields["actuator_biasprm"][:, device(fields.model, target, "constant_torque"), 0] = values["torque"]

@@ -35,6 +35,7 @@ class DirectionalEfficiency(Effect):
     summary = "a gear efficiency that differs between lifting and lowering"
     place = "joint"
     confusable = ("load_friction", "asymmetric_coulomb", "coulomb")
+    special = ("load_friction", "asymmetry", 0.0)
     hook = staticmethod(directional_efficiency)
 
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:

@@ -22,6 +22,7 @@ class HardeningSpring(Effect):
     summary = "a spring that stiffens as it is stretched"
     place = "joint"
     confusable = ("spring", "constant_torque", "payload")
+    of_type = False
 
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
         high = largest(model, targets)

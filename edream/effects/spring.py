@@ -22,6 +22,7 @@ class Spring(Effect):
     summary = "a spring beside the joint"
     place = "joint"
     confusable = ("hardening_spring", "constant_torque", "payload", "encoder_offset", "gravity_tilt")
+    of_type = False
 
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
         high = largest(model, targets)

@@ -7,6 +7,7 @@ from edream.core.effect import MOTOR_SUFFIX
 from edream.core.errors import EdreamError
 
 NO_INPUT = 16  # mjINPUT_NONE: a passive device
+TURNED = np.pi / 2.0  # phase of a cogging without poles that makes a constant torque of its sine
 PID = int(mujoco.mjtGain.mjGAIN_PID)
 
 

@@ -65,7 +65,8 @@ def run(inputs: Mapping[str, Artifact], config: DiagnoseConfig, work: Work) -> B
     if made.hook:
         bundle[HOOK] = made.hook
     if config.diagnose.next_motion and len(found.contenders) > 1:
-        bundle |= motion_files(suggest(problem, [fit for _, fit in found.contenders], work.rng), work)
+        motion = suggest(problem, [fit for _, fit in found.contenders], work.rng)
+        bundle |= motion_files(motion, work) if motion is not None else {}
     return bundle | {"summary.json": summary(found, bundle)}
 
 
@@ -86,11 +87,18 @@ def settings_of(config: DiagnoseConfig) -> Settings:
     return Settings(**options, scaled=scaled, limits=limits, seed=config.seed)
 
 
+def advice(found: Diagnosis, bundle: Mapping[str, Any]) -> str:
+    """What to do about a doubt."""
+    if len(found.contenders) < 2:
+        return ""
+    return " Record the suggested motion." if "next_motion.csv" in bundle else " No motion of the joints would tell."
+
+
 def summary(found: Diagnosis, bundle: Mapping[str, Any]) -> dict[str, Any]:
     """The result as one object; file names stand for their paths."""
     problem = found.problem
     return {
-        "sentence": found.sentence,
+        "sentence": f"{found.sentence}{advice(found, bundle)}",
         "verdict": found.verdict,
         "effects": [
             {
@@ -123,4 +131,4 @@ def summary(found: Diagnosis, bundle: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-ENTRY = Stage("diagnose", 3, ("ingest",), DiagnoseConfig, run, sources, ("mujoco", "numpy", "scipy"))
+ENTRY = Stage("diagnose", 4, ("ingest",), DiagnoseConfig, run, sources, ("mujoco", "numpy", "scipy"))

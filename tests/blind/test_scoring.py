@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from benchmarks.blind.cases import PAIRS, SITES, SORTS, Case, Session, cases, robot_of
-from benchmarks.blind.names import OTHER_NAME, SAME_NAME, library_name, true_values
+from benchmarks.blind.names import OTHER_NAME, SAME_NAME, is_usual, library_name, true_values
 from benchmarks.blind.runner import finished
 from benchmarks.blind.score import score
 from benchmarks.blind.table import markdown, table
@@ -42,6 +42,15 @@ def test_the_right_name_at_the_right_joint_is_right() -> None:
     assert row["right"] and row["found"] == ["named"]
     assert row["closed"] == pytest.approx(1.7 / 1.8)
     assert row["values"][0]["relative"] == pytest.approx(1 / 30)
+
+
+def test_a_weak_servo_that_was_strong_by_chance_stays_within_what_is_usual() -> None:
+    assert ROBOT is not None
+    published = float(-ROBOT.model.actuator_biasprm[1, 1])
+    for strength, usual in ((1.2, True), (1.0, False)):
+        truth = Truth("pan_tilt", (Hidden("servo_gain", ("tilt",), {"scale": 0.65}),), {"kp": {"tilt": strength * published}})
+        assert is_usual(truth.effects[0], truth, ROBOT.model) is usual
+    assert not is_usual(DELAY.effects[0], DELAY, ROBOT.model)
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,8 @@ from benchmarks.blind.cases import robot_of
 from edream.core.episode import Episode
 from edream.core.errors import EdreamError
 from edream.core.parameters import Parameter
-from edream.diagnosis.candidates import Candidate, placement
+from edream.diagnosis.candidates import Candidate, groups_of, placement
+from edream.diagnosis.decide import Trial, rivals, simplest
 from edream.diagnosis.descent import Fit, begin
 from edream.diagnosis.next_motion import as_window, draw, room_of, separations, suggest
 from edream.diagnosis.nuisance import published
@@ -82,14 +83,45 @@ def test_the_suggested_motion_stays_inside_the_robots_room_and_separates_better_
         values = with_quantities(extended, absent, [place], [quantities])
         fits.append(begin(extended, extended.simulated.space.to_unit(values)))
     motion = suggest(problem, fits, np.random.default_rng(1))
+    assert motion is not None
     room = room_of(problem)
     assert np.all(motion.command >= room.low - 1e-9) and np.all(motion.command <= room.high + 1e-9)
     speed = np.abs(np.diff(motion.command, axis=0)) / np.diff(motion.times)[:, None]
     assert np.all(speed.max(axis=0) <= 1.05 * room.speed)
     others = [draw(room, np.random.default_rng(100 + i)) for i in range(15)]
     apart = separations(problem, fits, [motion.command, *others])
-    assert apart[0] > np.median(apart[1:])
+    assert apart[0, 0] > np.median(apart[1:])
     assert motion.evidence > 0.0 and as_window(problem, motion.command).times[-1] > 5.0
+
+
+def test_no_motion_is_suggested_between_two_names_of_one_torque(problem: Problem, fit: Fit) -> None:
+    fits = []
+    for effect, quantities in (("constant_torque", {"torque": -0.05}), ("asymmetric_coulomb", {"difference": 0.05})):
+        place = placement(problem, Candidate(effect, ("tilt",)))
+        extended, absent = extend(fit, [place])
+        values = with_quantities(extended, absent, [place], [quantities])
+        fits.append(begin(extended, extended.simulated.space.to_unit(values)))
+    assert suggest(problem, fits, np.random.default_rng(1)) is None
+
+
+def test_an_effect_that_is_no_better_than_its_special_case_gives_way_to_it(problem: Problem, fit: Fit) -> None:
+    trials = []
+    for effect, value, closed in (("directional_efficiency", 0.30, 0.80), ("load_friction", 0.31, 0.79)):
+        place = placement(problem, Candidate(effect, ("tilt",)))
+        extended, absent = extend(fit, [place])
+        values = with_quantities(extended, absent, [place], [{"slope": value}])
+        found = begin(extended, extended.simulated.space.to_unit(values))
+        trials.append(Trial(Candidate(effect, ("tilt",)), 0.5, found, np.full(9, 1e-6), closed, True))
+    assert simplest(trials) is trials[1] and simplest([]) is None
+    assert rivals(problem, trials, trials[1]) == []
+    worse = [trials[0], replace(trials[1], closed=0.6)]
+    assert simplest(worse) is worse[0]
+
+
+def test_what_belongs_to_one_assembly_is_not_shared_by_a_hardware_group(problem: Problem) -> None:
+    tied = replace(problem, groups=(("pan", "tilt"),))
+    joints = [Candidate(effect, (joint,)) for effect in ("load_friction", "encoder_offset") for joint in ("pan", "tilt")]
+    assert groups_of(tied, joints) == [Candidate("load_friction", ("pan", "tilt"))]
 
 
 def test_a_usual_number_is_strange_only_beyond_what_robots_of_a_kind_differ_by() -> None:
