@@ -144,7 +144,7 @@ def drawn_values(
 ) -> list[dict[str, float]]:
     """Sets of parameters, normal within their intervals and correlated as the fit left them.
 
-    What the data do not tell stays as it was fitted: its interval is its box, and a draw from that would be no posterior but a guess.
+    What the data do not tell stays as it was fitted: its interval is its box, and a draw from that would be a mere guess.
 
     Args:
         estimates: name -> value, interval, status.
