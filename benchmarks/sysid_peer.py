@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 
 from edream.core.effect import joint_index
+from edream.sim.least_squares import STEP
 from edream.sim.objective import Objective
 from edream.sim.rollout import start_velocity
 
@@ -59,7 +60,9 @@ def fit_with_sysid(objective: Objective, iterations: int = 20) -> tuple[np.ndarr
 
     sequences = [_sequence(sysid, objective, spec, base, number, joints) for number in range(len(objective.windows))]
     residual = sysid.build_residual_fn(models_sequences=sequences, build_model=build)
-    found, _ = sysid.optimize(initial_params=params, residual_fn=residual, optimizer="mujoco", verbose=False, max_iters=iterations)
+    # its own finite-difference step, 1.5e-8, is lost in the kinks of dry friction, so it is given ours
+    options = {"max_iters": iterations, "eps": STEP}
+    found, _ = sysid.optimize(initial_params=params, residual_fn=residual, optimizer="mujoco", verbose=False, **options)
     length = float(np.mean([window.times[-1] for window in objective.windows]))
     return space.from_unit(np.clip(found.as_vector(), 0.0, 1.0)), built * length
 

@@ -5,13 +5,14 @@ import inspect
 import json as json_
 import os
 import platform
+import re
 import subprocess
 import sys
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from edream import catalog, cli_show, executor
+from edream import catalog, cli_show, config, executor
 from edream.core.errors import unknown_name
 
 PACKAGES = (
@@ -31,6 +32,9 @@ def explain(name: str, json: bool) -> None:
     Raises:
         EdreamError: no catalog has such an entry.
     """
+    if "." in name:
+        explain_setting(name, json)
+        return
     folders = _catalogs()
     places = [folder for folder in folders if name in catalog.names(folder)]
     if not places:
@@ -40,6 +44,32 @@ def explain(name: str, json: bool) -> None:
         print(json_.dumps({"name": name, "entries": found}, indent=2))
     else:
         print("\n\n".join(f"{name} ({one['catalog']})\n\n{one['text']}" for one in found))
+
+
+def explain_setting(name: str, json: bool) -> None:
+    """Print what a setting such as `fit.compare` starts from, and what the config says about it.
+
+    Raises:
+        EdreamError: there is no such setting.
+    """
+    group = name.partition(".")[0]
+    known = {}
+    for file in sorted(config.conf_folder().glob(f"{group}/*.yaml")):
+        parents: list[tuple[int, str]] = []
+        for line in file.read_text().splitlines():
+            found = re.match(r"( *)([\w.]+): *([^#]*?) *(?:# *(.*))?$", line)
+            if found and found[2] != "defaults":
+                parents = [*(one for one in parents if one[0] < len(found[1])), (len(found[1]), found[2])]
+                setting = ".".join([group, *(key for _, key in parents)])
+                known.setdefault(setting, []).append({"in": f"{group}={file.stem}", "value": found[3], "text": found[4] or ""})
+    if name not in known:
+        settings = known or {path.name: None for path in config.conf_folder().iterdir() if path.is_dir()}
+        raise unknown_name("setting" if known else "group of settings", name if known else group, settings)
+    if json:
+        print(json_.dumps({"name": name, "settings": known[name]}, indent=2))
+    else:
+        lines = [f"{one['in']}: {one['value'] or 'a group'}  {one['text']}" for one in known[name]]
+        print("\n".join([f"{name} (setting)", "", *lines]))
 
 
 def doctor(json: bool) -> None:

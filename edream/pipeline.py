@@ -135,13 +135,13 @@ def under(cfg: DictConfig, need: str) -> DictConfig:
 
 @dataclass(frozen=True)
 class Step:
-    """One stage in a plan: what exists of it, and what of its key is new against the newest artifact there is.
+    """One stage in a plan: what exists of it, and what of its key is new against the most similar artifact there is.
 
     Attributes:
         stage: its name.
         key: its key, or None where an input must be made first.
         state: "made", "partly made" (a killed run left shards), "not made" or "waits for <stage>".
-        changes: fields of the key that differ from the newest artifact of this stage, each with its old and new value.
+        changes: fields of the key that differ from the artifact of this stage that differs least, each with its old and new value.
     """
 
     stage: str
@@ -153,7 +153,7 @@ class Step:
 def plan(name: str, cfg: DictConfig) -> list[Step]:
     """What `make` would find and do, in order, without doing it."""
     store = open_store(cfg)
-    newest = {artifact.stage: artifact for artifact in store.artifacts()}
+    artifacts = store.artifacts()[::-1]
     steps: dict[str, Step] = {}
 
     def look(need: str, cfg: DictConfig) -> StoredArtifact | None:
@@ -168,9 +168,10 @@ def plan(name: str, cfg: DictConfig) -> list[Step]:
         key_fields = _key_fields(entry, settings, {one: artifact for one, artifact in inputs.items() if artifact is not None})
         key = _key(key_fields)
         found = store.find(name, key)
-        changes = differences(newest[name].manifest["fields"], key_fields) if found is None and name in newest else ()
+        others = [tuple(differences(one.manifest["fields"], key_fields)) for one in artifacts if one.stage == name]
+        changes = min(others, key=len, default=()) if found is None else ()
         state = "made" if found else "partly made" if store.work(name, key).is_dir() else "not made"
-        steps[need] = Step(need, key, state, tuple(changes))
+        steps[need] = Step(need, key, state, changes)
         return found
 
     look(name, cfg)
@@ -183,7 +184,12 @@ def differences(old: Any, new: Any, where: str = "") -> Iterator[str]:
         for key in sorted(old.keys() | new.keys()):
             yield from differences(old.get(key), new.get(key), f"{where}.{key}" if where else str(key))
     elif old != new:
-        yield f"{where}: {old} -> {new}"
+        yield f"{where}: {_brief(old)} -> {_brief(new)}"
+
+
+def _brief(value: Any) -> Any:
+    """A digest by its first digits."""
+    return f"{value[:8]}..." if isinstance(value, str) and re.fullmatch("[0-9a-f]{64}", value) else value
 
 
 @dataclass(frozen=True)

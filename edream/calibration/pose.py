@@ -34,6 +34,13 @@ class Chain:
             body = int(model.body_parentid[body])
         return chain[::-1]
 
+    @property
+    def end(self) -> str:
+        """What counts as the end effector, in words."""
+        if self.robot.site:
+            return f"site {self.robot.site}"
+        return f"body {self.robot.model.body(self.links[-1]).name or self.links[-1]}, the last; robot.site=NAME chooses a site"
+
     def _last_body(self) -> int:
         """The body at the end of the longest chain of bodies; the first of equals."""
         model = self.robot.model

@@ -129,8 +129,10 @@ def simulated_robot(robot: RobotModel, settings: SpaceSettings) -> SimulatedRobo
             _fit_start(parameter, bounds)
         placements.append(replace(placement, scaled=scaled, fixed=fixed, bounds=bounds))
     placed = {placement.effect.name for placement in placements}
-    scaled_here = [name for name in settings.scaled if name.partition(".")[0] in placed]
-    for name in (*settings.fixed, *settings.limits, *scaled_here):
+    # what a robot's config says of an effect that is not searched this time is no mistake
+    known = set(catalog.names("effects")) - placed
+    about = [name for name in (*settings.scaled, *settings.limits) if name.partition(".")[0] not in known]
+    for name in (*settings.fixed, *about):
         if name not in met:
             raise unknown_name("parameter", name, met)
     return SimulatedRobot(robot, tuple(with_weak_priors(robot, p) for p in placements))

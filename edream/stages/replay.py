@@ -9,6 +9,7 @@ import numpy as np
 
 from edream import catalog
 from edream.calibration.errors import perfect_tracking, summary
+from edream.calibration.pose import Chain
 from edream.calibration.settings import RobotSettings, ScaledBy
 from edream.core.effect import Effect
 from edream.core.episode import Episode
@@ -87,7 +88,8 @@ def replay(
 
     Returns:
         `rmse_rad`, `mae_rad`, `translation_m`, `rotation_rad` (end effector, root mean square), `perfect_tracking_rmse_rad`;
-        `per_joint` and `per_episode` with `rmse_rad` and `mae_rad` each; `unstable`: motions on which the simulation blew up.
+        `end_effector`: the site or body that was taken for it; `per_joint` and `per_episode` with `rmse_rad` and `mae_rad` each;
+        `unstable`: motions on which the simulation blew up.
 
     Raises:
         EdreamError: a joint is unknown, there is nothing to score, or the hook cannot be loaded.
@@ -110,6 +112,7 @@ def replay(
         "perfect_tracking_rmse_rad": perfect["joint_rmse_rad"],
         "per_joint": {name: _scores(every[:, i]) for i, name in enumerate(robot.joints)},
         "per_episode": {w.episode.name: _scores(e[:, counted]) for w, e in zip(windows, errors, strict=True)},
+        "end_effector": Chain(robot).end,
         "joints": [name for name, count in zip(robot.joints, counted, strict=True) if count],
         "unstable": [w.episode.name for w, p in zip(windows, positions, strict=True) if not np.isfinite(p).all()],
     }
@@ -138,4 +141,4 @@ def _scores(errors: np.ndarray) -> dict[str, float]:
     return {"rmse_rad": float(np.sqrt(np.mean(np.square(errors)))), "mae_rad": float(np.mean(np.abs(errors)))}
 
 
-ENTRY = Stage("replay", 1, ("ingest",), ReplayConfig, run, sources, ("mujoco", "numpy"))
+ENTRY = Stage("replay", 2, ("ingest",), ReplayConfig, run, sources, ("mujoco", "numpy"))

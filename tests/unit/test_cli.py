@@ -48,6 +48,7 @@ def test_every_command_shows_an_example(command) -> None:
         (["ingest", "robot=arm6"], "'data' is not set"),
         (["ingest", "robot=arm6", "data=no/such/folder"], "There is nothing at no/such/folder"),
         (["explain", "lerobot_v33"], "Did you mean 'lerobot_v3'"),
+        (["explain", "fit.metod"], "Did you mean 'fit.method'"),
         (["verify", "runs=no/such/folder"], "There is no folder no/such/folder"),
         (["ingest", "robot.mjcf=none.xml", "data=."], "There is no robot model at none.xml"),
         (["status", "--conf", "no/such/folder"], "There is no config folder"),
@@ -76,6 +77,12 @@ def test_json_is_one_object_and_nothing_else(tmp_path) -> None:
     done = edream("status", f"runs={tmp_path}", "--json")
     assert json.loads(done.stdout) == {"runs": {}, "artifacts": []}
     assert done.stderr == ""
+
+
+def test_explain_tells_what_a_setting_is_and_starts_from() -> None:
+    (found,) = json.loads(edream("explain", "fit.search.annealing_steps", "--json").stdout)["settings"]
+    assert found["value"] == "400"
+    assert edream("explain", "fit.holdout").stdout.startswith("fit.holdout (setting)")
 
 
 def test_explain_prints_the_docstring_of_an_entry() -> None:

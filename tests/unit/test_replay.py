@@ -77,6 +77,12 @@ def test_a_hook_that_knows_no_batches_gives_the_same_errors(written: Path, off: 
     assert one["per_joint"]["pan"]["mae_rad"] == pytest.approx(many["per_joint"]["pan"]["mae_rad"], abs=1e-6)
 
 
+def test_a_replay_says_what_it_takes_for_the_end_effector(written: Path) -> None:
+    robots = [load_robot(written / "model.xml", site=site) for site in ("ee", None)]
+    said = [replay(robot, [moves("slow", 3.0)], threads=1)["end_effector"] for robot in robots]
+    assert said[0] == "site ee" and said[1].startswith("body ") and "the last" in said[1]
+
+
 def test_only_the_chosen_joints_and_seconds_count(written: Path) -> None:
     robot, episodes = load_robot(written / "model.xml", site="ee"), [moves("slow", 3.0)]
     tilt = replay(robot, episodes, joints=["tilt"], until=1.0, threads=1)
