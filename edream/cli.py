@@ -124,7 +124,7 @@ def export_policy(
     conf: Conf = None,
     json: Json = False,
 ) -> None:
-    """Train a policy where that is not done, then write it as a folder to take to a robot: weights, scales and a loop to start from.
+    """Train a policy where that is not done, then write it as a folder to take to a robot: weights, scales, a loop to start from.
 
     Example: `edream export-policy --out policy/ robot=arm6 task=grab_paper_cup data=demonstrations/`
     """

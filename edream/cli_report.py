@@ -27,7 +27,8 @@ def report(cfg: DictConfig, open_it: bool, write: Callable[[str], object] | None
     store = pipeline.open_store(cfg)
     newest = _newest(store)
     if newest is None:
-        raise EdreamError(f"There is nothing to report on in {store.root}; run edream calibrate, diagnose, dream or train-policy first.")
+        first = "edream calibrate, diagnose, dream or train-policy"
+        raise EdreamError(f"There is nothing to report on in {store.root}; run {first} first.")
     made = _written(store, newest) or _anew(store, newest, cfg)
     path = made.path(next(name for name in made if name.endswith(".html"))).absolute()
     found = {"report": str(path), "of": REPORTED[newest.stage], "artifact": str(newest.folder.absolute())}

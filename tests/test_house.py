@@ -9,7 +9,9 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "edream"
 PLUMBING = {"catalog", "config", "store", "kinds", "executor", "work"}
-ENTRIES = {"effects", "formats", "fitters", "surrogates", "codecs", "denoisers", "objectives", "segmenters", "policies", "preferences", "metrics", "tasks"}
+ENTRIES = {"effects", "formats", "fitters", "surrogates", "codecs", "denoisers", "objectives", "segmenters", "metrics"} | {
+    *("policies", "preferences", "tasks"),
+}
 METHODS = {"ingest", "calibration", "diagnosis", "vision", "practice"}  # what the stages of one job share
 SIDES = {"sim", "learn"}
 MAY_IMPORT = {
