@@ -15,6 +15,7 @@ def test_planted_numbers_of_arm6_lie_in_their_intervals() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(3600)  # on a machine that others use too
 def test_planted_numbers_of_arm6_lie_in_their_intervals_over_twenty_seeds() -> None:
     found = [recover(seed) for seed in range(20)]
     inside, total, missed = coverage(found)
