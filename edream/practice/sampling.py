@@ -51,8 +51,11 @@ def with_twins(taught: Sequence[tuple[int, Demonstration]], twins: Mapping[str, 
     plain = [one for _, one in taught]
     if twins is None:
         return plain
-    name = "images/{:06d}.safetensors"
-    return plain + [twin_of(one, twins[name.format(n)]["images"], folder / f"twin-{n:06d}.npy") for n, one in taught]
+    found = []
+    for number, one in taught:
+        for name in sorted(file for file in twins if file.startswith(f"images/{number:06d}-")):
+            found.append(twin_of(one, twins[name]["images"], folder / f"twin-{Path(name).stem}.npy"))
+    return plain + found
 
 
 def tracked(scene: Scene, episode: Episode, options: PolicyOptions) -> np.ndarray | None:

@@ -10,6 +10,7 @@ from edream.core.camera import Camera
 from edream.core.episode import Episode
 from edream.core.errors import EdreamError
 from edream.core.scene import Scene
+from edream.practice.changing import tinted
 from edream.practice.demonstrations import Demonstration, step_times
 from edream.practice.options import PolicyOptions
 from edream.practice.worlds import over
@@ -26,8 +27,12 @@ def twin_images(
     scene: Scene,
     plate: np.ndarray,
     options: PolicyOptions,
+    gain: np.ndarray,
 ) -> np.ndarray:
-    """The measured robot and the tracked things before the photo of the empty bench, at each control step, (T, 1, H, W, 3).
+    """The measured robot and the tracked things before a photo of the bench, at each control step, (T, 1, H, W, 3).
+
+    Args:
+        gain: factor of each colour channel of the things, (3,).
 
     Raises:
         EdreamError: nothing was tracked in this episode.
@@ -38,7 +43,8 @@ def twin_images(
     for joints, time in zip(demonstration.joints, step_times(episode, options.rate), strict=True):
         seen = eye.see(dict(zip(order, joints, strict=True)), scene.at(episode.name, float(time)))
         share = np.maximum(seen.robot, seen.object)
-        rows.append(resized(over(plate, seen.colour, share), options.height, options.width)[None])
+        colour = tinted(seen.colour, seen.object, gain)
+        rows.append(resized(over(plate, colour, share), options.height, options.width)[None])
     return np.stack(rows)
 
 

@@ -8,10 +8,10 @@ import numpy as np
 
 from edream.calibration.settings import RobotSettings
 from edream.core.camera import from_json
-from edream.core.episode import Episode
 from edream.core.errors import EdreamError
 from edream.core.stage import Artifact, Bundle, Source, Stage, Work
 from edream.ingest.stored import stored_episodes
+from edream.practice.changing import TwinOptions, changed_background, photos
 from edream.practice.options import PolicyOptions
 from edream.practice.rehearsing import plate_of
 from edream.practice.sampling import demonstrations
@@ -41,6 +41,7 @@ class TwinsConfig:
     policy: PolicyOptions
     render: Tracked
     rollouts: Photographed
+    twins: TwinOptions
 
 
 def run(inputs: Mapping[str, Artifact], config: TwinsConfig, work: Work) -> Bundle:
@@ -55,23 +56,34 @@ def run(inputs: Mapping[str, Artifact], config: TwinsConfig, work: Work) -> Bund
         raise EdreamError(f"sft.twins is for policies with the one camera {name!r}, not {', '.join(cameras) or 'none'}.")
     eye = eye_of(robot, camera, scene, plate)
 
-    def one(number: int, rng: np.random.Generator) -> Bundle:
-        episode: Episode = episodes[number]
-        return {
-            "images.safetensors": {"images": twin_images(episode, made[number], robot.joints, eye, scene, plate, config.policy)}
-        }
+    others = photos(config.twins.folder, *plate.shape[:2])
 
+    def one(turn: tuple[int, int], rng: np.random.Generator) -> Bundle:
+        number, _ = turn
+        behind, gain = plate, np.ones(3)
+        if rng.random() < config.twins.changed:
+            behind = changed_background(plate, others, rng)
+            gain = 1.0 + config.twins.colour * rng.standard_normal(3)
+        images = twin_images(episodes[number], made[number], robot.joints, eye, scene, behind, config.policy, gain)
+        return {"images.safetensors": {"images": images}}
+
+    turns = [(number, copy) for number in range(len(episodes)) for copy in range(config.twins.copies)]
     try:
-        shards = work.shards("episodes", range(len(episodes)), one, parallel=False)
+        shards = work.shards("episodes", turns, one, parallel=False)
     finally:
         eye.close()
-    kept: Bundle = {f"images/{number:06d}.safetensors": shard.path("images.safetensors") for number, shard in enumerate(shards)}
-    frames = sum(len(demonstration) for demonstration in made)
-    return {**kept, "summary.json": {"sentence": f"{len(made)} demonstrations seen by the simulator, {frames} images."}}
+    kept = {
+        f"images/{n:06d}-{copy}.safetensors": shard.path("images.safetensors")
+        for (n, copy), shard in zip(turns, shards, strict=True)
+    }
+    frames = config.twins.copies * sum(len(demonstration) for demonstration in made)
+    sentence = f"{len(made)} demonstrations seen {config.twins.copies} times by the simulator, {frames} images"
+    changed = f", {100 * config.twins.changed:.0f} % of them with another scene." if config.twins.changed else "."
+    return {**kept, "summary.json": {"sentence": sentence + changed}}
 
 
 def sources(config: TwinsConfig) -> Mapping[str, Source]:
-    files = {"scene": config.render.scene, "plate": config.rollouts.plate}
+    files = {"scene": config.render.scene, "plate": config.rollouts.plate, "folder": config.twins.folder}
     return {"robot": config.robot.content()} | {name: path for name, path in files.items() if path is not None}
 
 

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -11,6 +12,7 @@ from edream.core.bench import bench_of
 from edream.core.camera import pinhole
 from edream.core.errors import EdreamError
 from edream.core.scene import Scene
+from edream.practice.changing import changed_background, photos, tinted
 from edream.practice.dreaming import Dreaming, open_dreamed
 from edream.practice.rehearsing import RolloutOptions, calm, drawn_values, needs_of, shards_of
 from edream.practice.trial import Chance
@@ -108,3 +110,22 @@ def test_physics_is_drawn_with_the_fit_s_correlation_and_only_where_the_data_tel
     assert set(b.tolist()) == {5.0}
     assert np.corrcoef(a, c)[0, 1] < -0.9 and 0.05 < a.std() < 0.12
     assert (a >= 0.8).all() and (a <= 1.2).all()
+
+
+def test_a_changed_scene_has_a_patch_in_the_bench_s_own_light_or_another_photo(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    plate = np.full((32, 40, 3), (150, 110, 80), np.uint8)
+    plate[:16] //= 2
+    one, two = (changed_background(plate, [], np.random.default_rng(4)) for _ in range(2))
+    assert np.array_equal(one, two) and 0.01 < (one != plate).any(axis=2).mean() < 0.9
+    changed = [(changed_background(plate, [], rng) != plate).any(axis=2).mean() for _ in range(20)]
+    assert min(changed) < 0.2 < max(changed)
+    cv2.imwrite(str(tmp_path / "a.png"), np.full((64, 64, 3), (10, 20, 30), np.uint8))
+    others = photos(tmp_path, 32, 40)
+    assert np.array_equal(changed_background(plate, others, rng), np.full((32, 40, 3), (30, 20, 10), np.uint8))
+    with pytest.raises(EdreamError, match=r"twins\.folder"):
+        photos(tmp_path / "none", 32, 40)
+    thing = np.zeros((32, 40), np.uint8)
+    thing[:4] = 255
+    assert np.array_equal(tinted(plate, thing, np.array([0.5, 1.0, 1.0]))[4:], plate[4:])
+    assert (tinted(plate, thing, np.array([0.5, 1.0, 1.0]))[:4, :, 0] < plate[:4, :, 0]).all()
