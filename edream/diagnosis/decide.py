@@ -21,6 +21,7 @@ FOLDS = 5
 REFITTED, GROUPS, FINISHED = 8, 4, 6
 HOPELESS = 0.4  # of the best candidate's gain after two steps: those below are not refitted to the end
 DRAWS = 4000
+SHAPED = 1.5  # floors of error from which a winner is tried in its other shapes
 AS_WELL = 0.97  # of the share that an effect closes: its special case closes as much
 DISTINCT = 0.5  # of the floor squared, or of the error where that is larger
 SERIOUS_SHARE = 0.01
@@ -134,20 +135,47 @@ def forward(problem: Problem, fit: Fit, done: Callable[[str, int], object] = lam
         scored = screen(problem, fit, lambda n: done("screening", n))
         trials = try_best(problem, fit, errors, scored, lambda n: done("refitting", n))
         trials = with_confusable(problem, fit, errors, scored, trials, lambda n: done("refitting", n))
-        taken = simplest([t for t in trials if passes(problem, t)])
+        taken = simplest(problem, [t for t in trials if passes(problem, t)])
         rounds.append(Round(fit, errors, scored, trials, taken))
         if taken is None:
             break
-        fit = descend(replace(taken.fit, scale=worth(taken.fit.objective, taken.fit.residual)), None, 3)
+        fit = arrived(problem, taken)
     return fit, rounds
 
 
-def simplest(passing: Sequence[Trial]) -> Trial | None:
-    """The best of the candidates that pass, or the special case of it that does as well; None where none passes."""
-    if not passing or (special := load("effects", passing[0].candidate.effect, Effect).special) is None:
+def arrived(problem: Problem, taken: Trial) -> Fit:
+    """The winner's fit gone down to the end; where that leaves a gap, from its other shapes as well."""
+    fit = descend(replace(taken.fit, scale=worth(taken.fit.objective, taken.fit.residual)), None, 6, tolerance=1e-3)
+    if fit.rms <= SHAPED * problem.floor:
+        return fit
+    place = placement(problem, taken.candidate)
+    probes = place.effect.probes(problem.robot.model, place.targets)
+    shapes = [shape for probe in probes if (shape := scaled_probe(place, problem, probe, STRONG)) is not None]
+    sets = [with_quantities(fit.objective, fit.values, [place], [shape]) for shape in shapes]
+    if len(sets) < 2:
+        return fit
+    residuals = fit.objective.residuals(np.array(sets))
+    for best in np.argsort([rms(r) for r in residuals])[:2]:
+        again = descend(begin(fit.objective, np.clip(fit.space.to_unit(sets[best]), 0.0, 1.0)), None, 6)
+        fit = min(fit, again, key=lambda one: one.rms)
+    return fit
+
+
+def simplest(problem: Problem, passing: Sequence[Trial]) -> Trial | None:
+    """The best of the candidates that pass, or the special case that it comes down to; None where none passes."""
+    if not passing or not (plain := comes_down_to(problem, passing[0])):
         return passing[0] if passing else None
-    plain = Candidate(special[0], passing[0].candidate.targets)
     return next((t for t in passing if t.candidate == plain and t.closed >= AS_WELL * passing[0].closed), passing[0])
+
+
+def comes_down_to(problem: Problem, trial: Trial) -> Candidate | None:
+    """The simpler effect that a refitted one is, where its interval holds the value that makes it so."""
+    special = load("effects", trial.candidate.effect, Effect).special
+    if special is None:
+        return None
+    effect, quantity, value = special
+    low, high = trial.fit.intervals()[placement(problem, trial.candidate).full_name(quantity)]
+    return Candidate(effect, trial.candidate.targets) if low <= value <= high else None
 
 
 def try_best(
@@ -328,18 +356,13 @@ def rivals(problem: Problem, trials: Sequence[Trial], winner: Trial) -> list[tup
     """The other candidates of a round, and whether left-out motions can tell each from the winner.
 
     They can where a paired bootstrap says so and the difference is more than two correct simulators may have between them. An
-    effect of which the winner is a special case is no other answer.
+    effect that comes down to the winner is no other answer.
     """
     out = []
     least = DISTINCT * max(problem.floor**2, float(winner.errors.mean()))
     for trial in trials:
-        if trial.candidate != winner.candidate and not _contains(trial.candidate, winner.candidate):
+        if trial.candidate != winner.candidate and comes_down_to(problem, trial) != winner.candidate:
             worse = trial.errors - winner.errors
             low, _ = bootstrap(worse, problem.settings.seed)
             out.append((trial, low > 0.0 and float(worse.mean()) > least))
     return out
-
-
-def _contains(one: Candidate, other: Candidate) -> bool:
-    special = load("effects", one.effect, Effect).special
-    return special is not None and special[0] == other.effect and one.targets == other.targets

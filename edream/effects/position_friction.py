@@ -10,42 +10,50 @@ from edream.core.effect import Effect, State
 from edream.core.parameters import Parameter
 from edream.sim.friction import hold_still
 from edream.sim.rotor import drive_joint
-from edream.sim.scales import largest
+from edream.sim.scales import largest, travel
 
 
 def position_friction(state: State, index: dict[str, int], values: dict[str, Any]) -> None:
-    """Dry friction differs along the joint's travel, one wave a turn."""
-    dof, angle = index["drive"], state.qpos[:, index["qpos"]]
-    wave = values["cosine"] * np.cos(angle) + values["sine"] * np.sin(angle)
-    state.friction[:, dof] = np.maximum(state.friction[:, dof] + wave, 0.0)
+    """Dry friction is larger or smaller around one place of the joint's travel."""
+    dof = index["drive"]
+    away = np.minimum(np.abs(state.qpos[:, index["qpos"]] - values["centre"]) / values["width"], 1.0)
+    more = values["torque"] * 0.5 * (1.0 + np.cos(np.pi * away))
+    state.friction[:, dof] = np.maximum(state.friction[:, dof] + more, 0.0)
 
 
 class PositionFriction(Effect):
     """A bent shaft, a worn stretch or a tight seal: the joint runs harder in some places than in others.
 
-        F = max(F0 + a cos(q) + b sin(q), 0)
+        F = max(F0 + a (1 + cos(pi (q - c) / w)) / 2, 0) for |q - c| < w,  F0 elsewhere
 
-    One full wave over a turn; over an arm joint's range that is a slope (b) and a bulge (a). The loop between measured and
-    commanded position is wide in some places and narrow in others, whatever gravity does. A hook sets `dof_frictionloss` before
-    each step. Parameters: cosine a, sine b [N m]. Source: Tuttle, MIT PhD thesis, 1992.
+    A narrow w is a tight spot, one as wide as the travel a slope along it. The loop between measured and commanded position is wide
+    in some places and narrow in others, whatever gravity does. A hook sets `dof_frictionloss` before each step.
+    Parameters: torque a [N m], centre c [rad], half width w [rad]. Source: Tuttle, MIT PhD thesis, 1992.
     """
 
     name = "position_friction"
     summary = "dry friction that differs along the joint's travel"
     place = "joint"
     confusable = ("load_friction", "cogging")
+    of_type = False
     hook = staticmethod(position_friction)
 
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
-        high = 0.5 * largest(model, targets)
+        high = 2.0 * largest(model, targets)
+        low, top = travel(model, targets[0])
+        span = top - low
         return (
-            Parameter("cosine", "N m", -high, high, 0.0, absent=0.0),
-            Parameter("sine", "N m", -high, high, 0.0, absent=0.0),
+            Parameter("torque", "N m", -high, high, 0.0, absent=0.0),
+            Parameter("centre", "rad", low - 0.2 * span, top + 0.2 * span, 0.5 * (low + top)),
+            Parameter("width", "rad", 0.05 * span, 1.5 * span, 0.3 * span, scale="log"),
         )
 
     def probes(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[dict[str, float], ...]:
+        low, top = travel(model, targets[0])
+        places = low + (top - low) * np.array([0.1, 0.3, 0.5, 0.7, 0.9])
+        shapes = [(0.25, float(place)) for place in places] + [(1.0, low), (1.0, top)]
         torque = 0.04 * largest(model, targets)
-        return tuple({"cosine": a * torque, "sine": b * torque} for a, b in ((1.0, 0.0), (0.0, 1.0), (0.0, -1.0)))
+        return tuple({"torque": torque, "centre": place, "width": share * (top - low)} for share, place in shapes)
 
     def edit(self, spec: mujoco.MjSpec, target: str) -> None:
         hold_still(spec, drive_joint(spec, target))

@@ -12,6 +12,8 @@ from edream.sim.servo import NO_INPUT, device, passive_device
 
 RELAXATION = 0.005  # s, bristle damping over bristle stiffness
 
+LONGEST = 0.15  # rad
+
 
 class Presliding(Effect):
     """Bristles: friction first bends like a spring, and slides once it is bent far enough (LuGre).
@@ -35,12 +37,12 @@ class Presliding(Effect):
         short = max(5e-4, high * float(model.opt.timestep) ** 2 / (0.1 * inertia))
         return (
             Parameter("torque", "N m", 0.0, high, 0.0, absent=0.0),
-            Parameter("displacement", "rad", short, 20.0 * short, 3.0 * short, scale="log"),
+            Parameter("displacement", "rad", short, max(20.0 * short, LONGEST), 3.0 * short, scale="log"),
         )
 
     def probes(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[dict[str, float], ...]:
         torque, shape = self.parameters(model, targets)
-        return tuple({"torque": 0.05 * torque.high, "displacement": factor * shape.low} for factor in (2.0, 8.0))
+        return tuple({"torque": 0.05 * torque.high, "displacement": factor * shape.low} for factor in (2.0, 8.0, 30.0))
 
     def edit(self, spec: mujoco.MjSpec, target: str) -> None:
         device_ = passive_device(spec, target, "presliding")

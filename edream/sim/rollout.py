@@ -15,6 +15,7 @@ from edream.sim.hooks import batch_hooks
 from edream.sim.simulation import SimulatedRobot, write_fields
 
 CHUNK = 100
+FEW = 64  # simulations
 BatchHook = Callable[[batch.Batch], Callable[[], None]]
 
 
@@ -139,7 +140,9 @@ class _Replay:
         self.index = [joint_index(self.model, joint) for joint in joints]
         self.ctrl_columns = np.array([one["ctrl"] for one in self.index])
         # simulation number = window * N + set, so that the simulations of ended windows are the last rows
-        self.batch = batch.Batch(self.model, self.n * self.w, threads)
+        # hooks need all simulations at each step: a few are sooner done by one thread than two are brought together
+        hooked = hook is not None or simulated.has_hooks
+        self.batch = batch.Batch(self.model, self.n * self.w, 1 if hooked and self.n * self.w < FEW else threads)
         conditions = [window.episode.conditions for window in windows for _ in range(self.n)]
         numbers = simulated.quantities(values.reshape(self.w * self.n, -1), conditions)
         self._gains = _Servos(self.batch, self.model)

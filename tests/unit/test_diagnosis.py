@@ -10,7 +10,7 @@ from edream.core.episode import Episode
 from edream.core.errors import EdreamError
 from edream.core.parameters import Parameter
 from edream.diagnosis.candidates import Candidate, groups_of, placement
-from edream.diagnosis.decide import Trial, rivals, simplest
+from edream.diagnosis.decide import Trial, comes_down_to, rivals, simplest
 from edream.diagnosis.descent import Fit, begin
 from edream.diagnosis.next_motion import as_window, draw, room_of, separations, suggest
 from edream.diagnosis.nuisance import published
@@ -104,18 +104,20 @@ def test_no_motion_is_suggested_between_two_names_of_one_torque(problem: Problem
     assert suggest(problem, fits, np.random.default_rng(1)) is None
 
 
-def test_an_effect_that_is_no_better_than_its_special_case_gives_way_to_it(problem: Problem, fit: Fit) -> None:
-    trials = []
-    for effect, value, closed in (("directional_efficiency", 0.30, 0.80), ("load_friction", 0.31, 0.79)):
+def test_an_effect_that_comes_down_to_its_special_case_gives_way_to_it(problem: Problem, fit: Fit) -> None:
+    def tried(effect: str, quantities: dict[str, float], closed: float) -> Trial:
         place = placement(problem, Candidate(effect, ("tilt",)))
         extended, absent = extend(fit, [place])
-        values = with_quantities(extended, absent, [place], [{"slope": value}])
+        values = with_quantities(extended, absent, [place], [quantities])
         found = begin(extended, extended.simulated.space.to_unit(values))
-        trials.append(Trial(Candidate(effect, ("tilt",)), 0.5, found, np.full(9, 1e-6), closed, True))
-    assert simplest(trials) is trials[1] and simplest([]) is None
-    assert rivals(problem, trials, trials[1]) == []
-    worse = [trials[0], replace(trials[1], closed=0.6)]
-    assert simplest(worse) is worse[0]
+        return Trial(Candidate(effect, ("tilt",)), 0.5, found, np.full(9, 1e-6), closed, True)
+
+    plain = tried("load_friction", {"slope": 0.3, "motor_share": 0.1}, 0.79)
+    even = tried("directional_efficiency", {"slope": 0.3, "asymmetry": 0.0}, 0.80)
+    assert comes_down_to(problem, even) == plain.candidate and comes_down_to(problem, plain) is None
+    assert simplest(problem, [even, plain]) is plain and simplest(problem, []) is None
+    assert rivals(problem, [even, plain], plain) == []
+    assert simplest(problem, [even, replace(plain, closed=0.6)]) is even
 
 
 def test_what_belongs_to_one_assembly_is_not_shared_by_a_hardware_group(problem: Problem) -> None:
