@@ -1,6 +1,6 @@
 """Which candidates stand: refits with all nuisance numbers free, judged on motions that the refit did not see."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,7 +11,7 @@ from edream.core.effect import Effect
 from edream.diagnosis.candidates import Candidate, placement
 from edream.diagnosis.descent import Fit, begin, descend, step_from, stretches
 from edream.diagnosis.problem import Problem
-from edream.diagnosis.screen import Scored, extend, scaled_probe, screen, with_quantities
+from edream.diagnosis.screen import Scored, extend, scaled_probe, screen, unexplained_by, with_quantities
 from edream.sim.least_squares import worth
 from edream.sim.objective import UNSTABLE_RESIDUAL, Objective, rms
 from edream.sim.rollout import rollout_each
@@ -22,6 +22,7 @@ REFITTED, GROUPS, FINISHED = 8, 4, 6
 HOPELESS = 0.4  # of the best candidate's gain after two steps: those below are not refitted to the end
 DRAWS = 4000
 SHAPED = 1.5  # floors of error from which a winner is tried in its other shapes
+NARROW = 0.3  # of a quantity's range: an interval that says something
 AS_WELL = 0.97  # of the share that an effect closes: its special case closes as much
 DISTINCT = 0.5  # of the floor squared, or of the error where that is larger
 SERIOUS_SHARE = 0.01
@@ -149,9 +150,8 @@ def arrived(problem: Problem, taken: Trial) -> Fit:
     if fit.rms <= SHAPED * problem.floor:
         return fit
     place = placement(problem, taken.candidate)
-    probes = place.effect.probes(problem.robot.model, place.targets)
-    shapes = [shape for probe in probes if (shape := scaled_probe(place, problem, probe, STRONG)) is not None]
-    sets = [with_quantities(fit.objective, fit.values, [place], [shape]) for shape in shapes]
+    strong = [scaled_probe(place, problem, probe, STRONG) for probe in probes_of(problem, place)]
+    sets = [with_quantities(fit.objective, fit.values, [place], [shape]) for shape in strong if shape is not None]
     if len(sets) < 2:
         return fit
     residuals = fit.objective.residuals(np.array(sets))
@@ -168,14 +168,19 @@ def simplest(problem: Problem, passing: Sequence[Trial]) -> Trial | None:
     return next((t for t in passing if t.candidate == plain and t.closed >= AS_WELL * passing[0].closed), passing[0])
 
 
-def comes_down_to(problem: Problem, trial: Trial) -> Candidate | None:
-    """The simpler effect that a refitted one is, where its interval holds the value that makes it so."""
+def comes_down_to(problem: Problem, trial: Trial, surely: bool = False) -> Candidate | None:
+    """The simpler effect that a refitted one is, where its interval holds the value that makes it so; `surely`: a narrow one."""
     special = load("effects", trial.candidate.effect, Effect).special
     if special is None:
         return None
     effect, quantity, value = special
-    low, high = trial.fit.intervals()[placement(problem, trial.candidate).full_name(quantity)]
-    return Candidate(effect, trial.candidate.targets) if low <= value <= high else None
+    place = placement(problem, trial.candidate)
+    parameters = place.effect.parameters(problem.robot.model, place.targets)
+    box = next(p.high - p.low for p in parameters if p.name == quantity)
+    low, high = trial.fit.intervals()[place.full_name(quantity)]
+    if not low <= value <= high or (surely and high - low > NARROW * box):
+        return None
+    return Candidate(effect, trial.candidate.targets)
 
 
 def try_best(
@@ -237,7 +242,7 @@ def bold_starts(
     problem: Problem, place: Placement, scored: Scored, extended: Objective, absent: Float[np.ndarray, "P"]
 ) -> list[Float[np.ndarray, "P"]]:
     """Parameter sets: where the score test says, and strong versions; each also with little of the friction it may replace."""
-    strong = [scaled_probe(place, problem, probe, STRONG) for probe in place.effect.probes(problem.robot.model, place.targets)]
+    strong = [scaled_probe(place, problem, probe, STRONG) for probe in probes_of(problem, place)]
     quantities = [scored.start, *(s for s in strong[:4] if s is not None)]
     starts = [with_quantities(extended, absent, [place], [one]) for one in quantities]
     friction = np.array([name.startswith("coulomb.") for name in extended.simulated.space.names])
@@ -274,11 +279,27 @@ def refit(problem: Problem, fit: Fit, errors: Float[np.ndarray, "M"], scored: Sc
 
 
 def refitted(problem: Problem, fit: Fit, scored: Scored, iterations: int) -> Fit:
-    """The model with one candidate, after some steps from where the score test puts it."""
+    """The model with one candidate, some steps from where the score test puts it or from the same strength in another shape."""
     place = placement(problem, scored.candidate)
     extended, absent = extend(fit, [place])
-    start = with_quantities(extended, absent, [place], [scored.start])
-    return descend(with_column(fit, extended, start), fresh_columns(fit, extended), iterations)
+    starts = [with_quantities(extended, absent, [place], [one]) for one in shapes(problem, place, scored.start)]
+    if len(starts) > 1:
+        left = unexplained_by(fit)(extended.residuals(np.array(starts)))
+        starts = [starts[i] for i in np.argsort(left)[:2]]
+    fresh = fresh_columns(fit, extended)
+    return min((descend(with_column(fit, extended, start), fresh, iterations) for start in starts), key=lambda one: one.rms)
+
+
+def shapes(problem: Problem, place: Placement, start: Mapping[str, float]) -> list[dict[str, float]]:
+    """A candidate's quantities as they are, and with the same strength in the shape of each of its probes (a speed, a place)."""
+    parameters = place.effect.parameters(problem.robot.model, place.targets)
+    form = [p.name for p in parameters if p.absent is None]
+    others = [{**start, **{name: probe[name] for name in form if name in probe}} for probe in probes_of(problem, place)]
+    return [one for i, one in enumerate([dict(start), *others]) if one not in [dict(start), *others][:i]]
+
+
+def probes_of(problem: Problem, place: Placement) -> Sequence[Mapping[str, float]]:
+    return place.effect.probes(problem.robot.model, place.targets)
 
 
 def judged(problem: Problem, fit: Fit, errors: Float[np.ndarray, "M"], scored: Scored) -> Trial:
@@ -356,12 +377,12 @@ def rivals(problem: Problem, trials: Sequence[Trial], winner: Trial) -> list[tup
     """The other candidates of a round, and whether left-out motions can tell each from the winner.
 
     They can where a paired bootstrap says so and the difference is more than two correct simulators may have between them. An
-    effect that comes down to the winner is no other answer.
+    effect that surely comes down to the winner is no other answer.
     """
     out = []
     least = DISTINCT * max(problem.floor**2, float(winner.errors.mean()))
     for trial in trials:
-        if trial.candidate != winner.candidate and comes_down_to(problem, trial) != winner.candidate:
+        if trial.candidate != winner.candidate and comes_down_to(problem, trial, surely=True) != winner.candidate:
             worse = trial.errors - winner.errors
             low, _ = bootstrap(worse, problem.settings.seed)
             out.append((trial, low > 0.0 and float(worse.mean()) > least))

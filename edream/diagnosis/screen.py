@@ -27,6 +27,7 @@ from edream.sim.simulation import Placement, SimulatedRobot
 FINALISTS = 16
 WORTH_A_LOOK = 0.002  # share
 ENOUGH = 60.0  # s of motion that a score test needs
+Unexplained = Callable[[Float[np.ndarray, "N R"]], Float[np.ndarray, "N"]]
 log = logging.getLogger(__name__)
 LARGEST_ALPHA = 20.0
 
@@ -49,10 +50,8 @@ class Scored:
 def screen(problem: Problem, fit: Fit, done: Callable[[int], object] = lambda n: None) -> list[Scored]:
     """Every effect at every place, best first. Calls `done(n)` as n rounds are finished."""
     fit = thinned(fit, ENOUGH)
-    away, pull = prior_rows(fit)
-    base = Projection(np.vstack([fit.jacobian, pull]))
-    residual = base.out(np.concatenate([fit.residual, away]))
-    total = float(residual @ residual)
+    unexplained = unexplained_by(fit)
+    total = float(unexplained(fit.residual[None])[0])
     present = fit.objective.simulated.placements
     first: list[Scored] = []
     for one in rounds(problem, library(problem)):
@@ -60,7 +59,7 @@ def screen(problem: Problem, fit: Fit, done: Callable[[int], object] = lambda n:
         if fresh and fits_beside(problem, fit, fresh):
             first += _probe_round(problem, fit, fresh, total)
         done(1)
-    second = [again for s in finalists(first) if (again := confirm(problem, fit, s, base, total)) is not None]
+    second = [again for s in finalists(first) if (again := confirm(problem, fit, s, unexplained, total)) is not None]
     done(1)
     return sorted(second, key=lambda s: -s.share)
 
@@ -122,6 +121,13 @@ class Projection:
         return vector - self.basis @ (self.basis.T @ vector)
 
 
+def unexplained_by(fit: Fit) -> Unexplained:
+    """Says how much of some residuals, as sums of squares, no linear change of the nuisance numbers explains."""
+    away, pull = prior_rows(fit)
+    base = Projection(np.vstack([fit.jacobian, pull]))
+    return lambda residuals: np.array([float(np.sum(base.out(np.concatenate([r, away])) ** 2)) for r in residuals])
+
+
 def _probe_round(problem: Problem, fit: Fit, candidates: Sequence[Candidate], total: float) -> list[Scored]:
     """All candidates of a round probed at once; each is judged on the residual of its own joint, a hardware group on all of its."""
     placements = [placement(problem, c) for c in candidates]
@@ -131,7 +137,9 @@ def _probe_round(problem: Problem, fit: Fit, candidates: Sequence[Candidate], to
     sets = [absent] + [with_quantities(extended, absent, placements, [p[min(i, len(p) - 1)] for p in probes]) for i in range(count)]
     residuals = extended.residuals(np.array(sets))
     changes = residuals[1:] - residuals[0]
-    return [scored_probes(problem, fit, c, residuals[0], changes, total) for c in (*candidates, *groups_of(problem, candidates))]
+    present = fit.objective.simulated.placements
+    groups = [group for group in groups_of(problem, candidates) if not acts_already(group, present)]
+    return [scored_probes(problem, fit, c, residuals[0], changes, total) for c in (*candidates, *groups)]
 
 
 def scored_probes(
@@ -175,16 +183,14 @@ def _own_rows(problem: Problem, fit: Fit, candidate: Candidate) -> tuple[np.ndar
     return rows, columns if len(columns) else every_column
 
 
-def confirm(problem: Problem, fit: Fit, scored: Scored, base: Projection, total: float) -> Scored | None:
+def confirm(problem: Problem, fit: Fit, scored: Scored, unexplained: Unexplained, total: float) -> Scored | None:
     """A candidate alone, simulated at three sizes around where the score test puts it; None where nothing helps."""
     place = placement(problem, scored.candidate)
     extended, absent = extend(fit, [place])
     starts = [s for factor in (0.5, 1.0, 1.8) if (s := scaled_probe(place, problem, scored.start, factor)) is not None]
     if not starts:
         return None
-    residuals = extended.residuals(np.array([with_quantities(extended, absent, [place], [start]) for start in starts]))
-    away, _ = prior_rows(fit)
-    left = [float(np.sum(base.out(np.concatenate([r, away])) ** 2)) for r in residuals]
+    left = unexplained(extended.residuals(np.array([with_quantities(extended, absent, [place], [start]) for start in starts])))
     best = int(np.argmin(left))
     share = 1.0 - left[best] / total
     return Scored(scored.candidate, starts[best], share) if share > 0.0 else None

@@ -14,10 +14,9 @@ from edream.sim.rotor import drive_joint
 
 def directional_efficiency(state: State, index: dict[str, int], values: dict[str, Any]) -> None:
     """Dry friction grows with the load, by another factor when the joint lifts than when it lowers."""
-    dof = index["drive"]
-    load = state.qfrc_bias[:, index["dof"]]
-    lifts = np.tanh(state.qvel[:, dof] / 0.02) * np.sign(load)
-    state.friction[:, dof] += values["slope"] * np.abs(load) * np.maximum(1.0 + values["asymmetry"] * lifts, 0.0)
+    dof, load = index["drive"], state.qfrc_bias[:, index["dof"]]
+    state.friction[:, dof] += values["slope"] * np.abs(load)
+    state.torque[:, dof] -= values["slope"] * values["asymmetry"] * load
 
 
 class DirectionalEfficiency(Effect):
@@ -25,8 +24,8 @@ class DirectionalEfficiency(Effect):
 
         F = F0 + k |load| (1 + a s),  s = 1 while the joint moves against its load, -1 while the load drives it
 
-    With a = 0 this is `load_friction`; a > 0 is a gear whose driving loses more than its being driven back. The turn between both
-    is smooth over 0.02 rad/s. A hook sets `dof_frictionloss` before each step.
+    With a = 0 this is `load_friction`; a > 0 is a gear whose driving loses more than its being driven back. Friction between two
+    unequal bounds is friction between their mean and a torque -k a load, in motion and at rest; a hook sets both before each step.
     Parameters: slope k [1], asymmetry a [1]. Source: Wang, Kim, IJRR 2015 (directional gear efficiency); Duclusaud et al. (BAM),
     2024.
     """
