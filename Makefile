@@ -28,7 +28,7 @@ POLICY := runs/policy-tiny
 policy-tiny: export OMP_NUM_THREADS = 1
 policy-tiny: .venv/ready
 	test -d $(POLICY)/recorded || $(RUN)/edream record robot=arm6 task=grab_paper_cup record.episodes=50 record.out=$(POLICY)/recorded seed=1
-	$(RUN)/edream train-policy robot=arm6 task=grab_paper_cup data=$(POLICY)/recorded ingest.fps=25 runs=$(POLICY)/runs run=policy-tiny \
+	$(RUN)/edream train-policy robot=arm6_working task=grab_paper_cup data=$(POLICY)/recorded ingest.fps=25 runs=$(POLICY)/runs run=policy-tiny \
 	  seed=1 rollouts.eyes=composite sft.twins=true camera.file=$(POLICY)/recorded.cameras.json \
 	  rollouts.plate=$(POLICY)/recorded.plate.png render.scene=$(POLICY)/recorded.scene.json
 

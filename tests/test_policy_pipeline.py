@@ -13,6 +13,7 @@ from omegaconf import DictConfig
 
 from edream import config, pipeline
 from edream.core.errors import EdreamError
+from edream.ingest.episode_read import read_episode
 from edream.practice.bundle import RunningPolicy, write_bundle
 
 SMALL = [
@@ -89,6 +90,9 @@ def test_train_policy_goes_from_demonstrations_to_a_page_with_rates_and_films(ma
     artifacts = made[1]
     rows = artifacts["evaluate"]["summary.json"]["rates"]
     assert [row["policy"] for row in rows] == ["sft", "rl"] and all(row["success"]["trials"] == 2 for row in rows)
+    films = [name for name in artifacts["evaluate"] if name.endswith(".mcap")]
+    episode = read_episode(artifacts["evaluate"].path(films[0]))
+    assert len(films) == 2 and episode.videos["cam_high"].height == 32 and episode.notes["outcome"] in ("success", "failure")
     page = artifacts["report"]["report.html"]
     assert page.count("data:image/png;base64,") >= 2 and "Wilson" in page and 'src="http' not in page
 

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from edream.core.policy import World
+from edream.core.policy import Observation, World
 from edream.core.stage import Artifact, Bundle, Work
 from edream.learn.checkpoint import read_weights
 from edream.learn.determinism import deterministic
 from edream.practice.about import PolicyAbout
-from edream.practice.film import strip_of
+from edream.practice.film import film_of
 from edream.practice.trial import Chance, Eyes, OwnEyes, Trial, play
 
 TRIALS, OUTCOMES = "trials.safetensors", "outcomes.json"
@@ -77,13 +77,13 @@ def played(shard: Shard, rng: np.random.Generator, *, player: Player, manner: Ma
         network = about.network(read_weights(player.weights)).eval()
         world, eyes = shard.open(), manner.eyes()
         trials: list[Trial] = []
-        films: dict[str, bytes] = {}
+        films: dict[str, dict[str, np.ndarray]] = {}
         try:
             for start, sample in shard.turns:
-                film: list[Mapping[str, np.ndarray]] | None = [] if start in shard.filmed and sample == 0 else None
+                film: list[Observation] | None = [] if start in shard.filmed and sample == 0 else None
                 trials.append(play(world, network, about, eyes, start, sample, manner.chance, manner.seed, film))
                 if film:
-                    films[f"film-{start:08d}.png"] = strip_of(film, world.rate)
+                    films[f"film-{start:08d}.safetensors"] = film_of(film, trials[-1])
         finally:
             world.close()
     kept = packed(trials) if manner.keep else {}

@@ -117,14 +117,14 @@ def play(
     sample: int = 0,
     chance: Chance | None = None,
     seed: int = 0,
-    film: list[Mapping[str, np.ndarray]] | None = None,
+    film: list[Observation] | None = None,
 ) -> Trial:
     """Let a policy act from a start to the end of the trial.
 
     Args:
         sample: which of the trials of that start; sets its random numbers, with `seed` and the start.
         chance: what is left to chance; nothing where None.
-        film: takes the images of every step, for looking at; None to take none.
+        film: takes the world's observation of every step; None to take none.
 
     Raises:
         EdreamError: the world does not suit the policy.
@@ -141,7 +141,7 @@ def play(
     joints, images, states, actions = [], [], [], []
     for step in range(steps):
         if film is not None:
-            film.append(dict(eyes.look(world, observation)) if eyes.cameras(world) else {})
+            film.append(observation)
         if step % about.stride == 0:
             row = _row(world, observation, eyes, about)
             for kept, value in zip((joints, images, states), row, strict=True):

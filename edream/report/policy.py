@@ -130,8 +130,8 @@ def _ratios(made: Mapping[str, Mapping[str, Any]]) -> Figure | None:
 
 def _films(judged: Mapping[str, Any], outcomes: Mapping[tuple[str, int], bool], rows: Sequence[Mapping[str, Any]]) -> list[Figure]:
     found = []
-    for file in sorted(name for name in judged if name.endswith(".png") and "-film-" in name):
-        number, _, start = file.removesuffix(".png").split("-")
+    for file in sorted(name for name in judged if name.startswith("films/") and name.endswith(".png")):
+        number, _, start = file.removeprefix("films/").removesuffix(".png").partition("-")
         row = rows[int(number)]
         title = f"{row['name']}: {'success' if outcomes[row['policy'], int(start)] else 'failure'}"
         source = base64.b64encode(judged[file]).decode()

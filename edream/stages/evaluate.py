@@ -14,8 +14,10 @@ from edream.calibration.settings import RobotSettings
 from edream.core.errors import EdreamError, require
 from edream.core.stage import Artifact, Bundle, Source, Stage, Work
 from edream.core.task import Task
+from edream.ingest.episode_file import write_episode
 from edream.practice.about import ABOUT, WEIGHTS, PolicyAbout
-from edream.practice.collecting import Manner, Player, Shard, collected, outcomes_of, split
+from edream.practice.collecting import OUTCOMES, Manner, Player, Shard, collected, outcomes_of, split
+from edream.practice.film import episode_of, moving_picture
 from edream.practice.rates import Rate, apart, rate
 from edream.reality.cell_look import CellLook
 from edream.reality.truth import Truth, unseal
@@ -89,7 +91,7 @@ def run(inputs: Mapping[str, Artifact], config: EvaluateConfig, work: Work) -> B
     """Play every start with every policy, the same starts for all."""
     options, truth = config.evaluate, unseal(config.truth)
     robot, tables, rows = config.robot.load(), [], []
-    films: dict[str, bytes] = {}
+    films: dict[str, Any] = {}
     for number, name in enumerate(options.of):
         about = PolicyAbout.of(inputs[name][ABOUT])
         look = seen_by(about, config.record.cell)
@@ -104,10 +106,28 @@ def run(inputs: Mapping[str, Artifact], config: EvaluateConfig, work: Work) -> B
         outcomes = outcomes_of(found)
         tables.append(outcomes.append_column("policy", pa.array([name] * len(outcomes))))
         rows.append(row_of(name, about, outcomes))
-        for shard in found:
-            films |= {f"{number}-{file}": shard[file] for file in shard if file.startswith("film-") and shard[file]}
+        films |= filmed_trials(number, name, about, found, config.task, work.folder(f"films-{number}"))
     summary = {"sentence": sentence(rows), "task": config.task, "starts": options.starts, "rates": rows}
     return films | {"outcomes.parquet": pa.concat_tables(tables), "summary.json": summary}
+
+
+def filmed_trials(
+    number: int, name: str, about: PolicyAbout, found: Sequence[Artifact], task: str, folder: Path
+) -> dict[str, bytes | Path]:
+    """Filmed trials of a policy: each a moving picture for the page, and an episode file for Foxglove."""
+    made: dict[str, bytes | Path] = {}
+    for shard in found:
+        for file in sorted(one for one in shard if one.startswith("film-")):
+            film, start = shard[file], int(Path(file).stem.removeprefix("film-"))
+            good = next(row["success"] for row in shard[OUTCOMES] if row["start"] == start)
+            notes = {"task": task, "policy": label(name), "start": str(start), "outcome": "success" if good else "failure"}
+            path = folder / f"{start:08d}.mcap"
+            write_episode(episode_of(film, f"{label(name)}, start {start}", about.order, about.rate, notes), path)
+            made[f"films/{number}-{start:08d}.mcap"] = path
+            picture = moving_picture(film, about.rate)
+            if picture:
+                made[f"films/{number}-{start:08d}.png"] = picture
+    return made
 
 
 def seen_by(about: PolicyAbout, look: CellLook) -> CellLook | None:

@@ -9,12 +9,16 @@ import torch
 
 from edream import catalog
 from edream.core.errors import EdreamError
+from edream.core.policy import Observation
 from edream.executor import create
+from edream.ingest.episode_file import write_episode
+from edream.ingest.episode_read import read_episode
 from edream.learn.determinism import deterministic
 from edream.learn.policy import Policy, PolicyShape, Scale, Seen, log_likelihood, masked_l1
 from edream.learn.training import Schedule, new_state, train
 from edream.practice.collecting import Manner, Player, Shard, collected, outcomes_of, split
 from edream.practice.demonstrations import ChunkBatches, chunk_of
+from edream.practice.film import episode_of, film_of, moving_picture
 from edream.practice.shaking import Shake, shaken
 from edream.practice.trial import Chance, OwnEyes, Plans, play
 from edream.store import Store
@@ -179,3 +183,15 @@ def test_a_policy_for_another_world_is_a_sentence() -> None:
     world.rate = 20.0
     with pytest.raises(EdreamError, match=r"policy\.rate=20"):
         play(world, about_.network(seed=1).eval(), about_, OwnEyes(), 1)
+
+
+def test_a_filmed_trial_is_an_episode_and_a_moving_picture(tmp_path: Path) -> None:
+    about_ = about([demonstrated(1), demonstrated(2)])
+    film: list[Observation] = []
+    trial = play(ToyWorld(), about_.network(seed=1).eval(), about_, OwnEyes(), 5, film=film)
+    arrays = film_of(film, trial)
+    write_episode(episode_of(arrays, "trial", about_.order, about_.rate, {"outcome": "failure"}), tmp_path / "trial.mcap")
+    episode = read_episode(tmp_path / "trial.mcap")
+    assert np.array_equal(episode.command, trial.actions) and np.array_equal(episode.position[0], film[0].joints)
+    assert np.array_equal(np.stack(list(episode.videos["cam"].frames())), arrays["images/cam"])
+    assert moving_picture(arrays, about_.rate).startswith(b"\x89PNG")
