@@ -72,7 +72,7 @@ def thinned(fit: Fit, seconds: float) -> Fit:
         return fit
     kept = np.arange(0, len(windows), every)
     rows = np.isin(fit.objective.owner, kept)
-    objective = replace(fit.objective, windows=[windows[i] for i in kept], simulations=0)
+    objective = replace(fit.objective, windows=[windows[int(i)] for i in kept], simulations=0)
     return replace(fit, objective=objective, residual=fit.residual[rows], jacobian=fit.jacobian[rows])
 
 
