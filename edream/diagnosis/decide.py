@@ -23,7 +23,7 @@ HOPELESS = 0.4  # of the best candidate's gain after two steps: those below are 
 DRAWS = 4000
 SHAPED = 1.5  # floors of error from which a winner is tried in its other shapes
 NARROW = 0.3  # of a quantity's range: an interval that says something
-AS_WELL = 0.97  # of the share that an effect closes: its special case closes as much
+AS_WELL = 0.95  # of the share that an effect closes: its special case closes as much, and needs less to be believed
 DISTINCT = 0.5  # of the floor squared, or of the error where that is larger
 SERIOUS_SHARE = 0.01
 SMALL, FAR = 10, 20.0  # at most so many numbers and a gap of so many floors: every refit starts from several places
@@ -136,7 +136,7 @@ def forward(problem: Problem, fit: Fit, done: Callable[[str, int], object] = lam
         scored = screen(problem, fit, lambda n: done("screening", n))
         trials = try_best(problem, fit, errors, scored, lambda n: done("refitting", n))
         trials = with_confusable(problem, fit, errors, scored, trials, lambda n: done("refitting", n))
-        taken = simplest(problem, [t for t in trials if passes(problem, t)])
+        taken = simplest([t for t in trials if passes(problem, t)])
         rounds.append(Round(fit, errors, scored, trials, taken))
         if taken is None:
             break
@@ -145,31 +145,30 @@ def forward(problem: Problem, fit: Fit, done: Callable[[str, int], object] = lam
 
 
 def arrived(problem: Problem, taken: Trial) -> Fit:
-    """The winner's fit gone down to the end; where that leaves a gap, from its other shapes as well."""
-    fit = descend(replace(taken.fit, scale=worth(taken.fit.objective, taken.fit.residual)), None, 6, tolerance=1e-3)
-    if fit.rms <= SHAPED * problem.floor:
-        return fit
+    """The winner's fit gone down to the end; where that leaves a gap, from another of its shapes as well."""
+    fit = descend(replace(taken.fit, scale=worth(taken.fit.objective, taken.fit.residual)), None, 4)
     place = placement(problem, taken.candidate)
     strong = [scaled_probe(place, problem, probe, STRONG) for probe in probes_of(problem, place)]
     sets = [with_quantities(fit.objective, fit.values, [place], [shape]) for shape in strong if shape is not None]
-    if len(sets) < 2:
+    if fit.rms <= SHAPED * problem.floor or len(sets) < 2:
         return fit
     residuals = fit.objective.residuals(np.array(sets))
-    for best in np.argsort([rms(r) for r in residuals])[:2]:
-        again = descend(begin(fit.objective, np.clip(fit.space.to_unit(sets[best]), 0.0, 1.0)), None, 6)
-        fit = min(fit, again, key=lambda one: one.rms)
-    return fit
+    best = int(np.argmin([rms(r) for r in residuals]))
+    own = np.isin(fit.space.names, [place.full_name(p.name) for p in place.effect.parameters(problem.robot.model, place.targets)])
+    again = descend(begin(fit.objective, np.clip(fit.space.to_unit(sets[best]), 0.0, 1.0)), own, 3)
+    return descend(again, None, 4) if again.rms < fit.rms else fit
 
 
-def simplest(problem: Problem, passing: Sequence[Trial]) -> Trial | None:
-    """The best of the candidates that pass, or the special case that it comes down to; None where none passes."""
-    if not passing or not (plain := comes_down_to(problem, passing[0])):
+def simplest(passing: Sequence[Trial]) -> Trial | None:
+    """The best of the candidates that pass, or the special case of it that does as well; None where none passes."""
+    if not passing or (special := load("effects", passing[0].candidate.effect, Effect).special) is None:
         return passing[0] if passing else None
+    plain = Candidate(special[0], passing[0].candidate.targets)
     return next((t for t in passing if t.candidate == plain and t.closed >= AS_WELL * passing[0].closed), passing[0])
 
 
-def comes_down_to(problem: Problem, trial: Trial, surely: bool = False) -> Candidate | None:
-    """The simpler effect that a refitted one is, where its interval holds the value that makes it so; `surely`: a narrow one."""
+def comes_down_to(problem: Problem, trial: Trial) -> Candidate | None:
+    """The simpler effect that a refitted one is, where its interval is narrow and holds the value that makes it so."""
     special = load("effects", trial.candidate.effect, Effect).special
     if special is None:
         return None
@@ -178,9 +177,8 @@ def comes_down_to(problem: Problem, trial: Trial, surely: bool = False) -> Candi
     parameters = place.effect.parameters(problem.robot.model, place.targets)
     box = next(p.high - p.low for p in parameters if p.name == quantity)
     low, high = trial.fit.intervals()[place.full_name(quantity)]
-    if not low <= value <= high or (surely and high - low > NARROW * box):
-        return None
-    return Candidate(effect, trial.candidate.targets)
+    known = low <= value <= high and high - low < NARROW * box
+    return Candidate(effect, trial.candidate.targets) if known else None
 
 
 def try_best(
@@ -279,15 +277,12 @@ def refit(problem: Problem, fit: Fit, errors: Float[np.ndarray, "M"], scored: Sc
 
 
 def refitted(problem: Problem, fit: Fit, scored: Scored, iterations: int) -> Fit:
-    """The model with one candidate, some steps from where the score test puts it or from the same strength in another shape."""
+    """The model with one candidate, some steps from where the score test puts it, in whichever of its shapes promises most."""
     place = placement(problem, scored.candidate)
     extended, absent = extend(fit, [place])
     starts = [with_quantities(extended, absent, [place], [one]) for one in shapes(problem, place, scored.start)]
-    if len(starts) > 1:
-        left = unexplained_by(fit)(extended.residuals(np.array(starts)))
-        starts = [starts[i] for i in np.argsort(left)[:2]]
-    fresh = fresh_columns(fit, extended)
-    return min((descend(with_column(fit, extended, start), fresh, iterations) for start in starts), key=lambda one: one.rms)
+    best = int(np.argmin(unexplained_by(fit)(extended.residuals(np.array(starts))))) if len(starts) > 1 else 0
+    return descend(with_column(fit, extended, starts[best]), fresh_columns(fit, extended), iterations)
 
 
 def shapes(problem: Problem, place: Placement, start: Mapping[str, float]) -> list[dict[str, float]]:
@@ -377,12 +372,12 @@ def rivals(problem: Problem, trials: Sequence[Trial], winner: Trial) -> list[tup
     """The other candidates of a round, and whether left-out motions can tell each from the winner.
 
     They can where a paired bootstrap says so and the difference is more than two correct simulators may have between them. An
-    effect that surely comes down to the winner is no other answer.
+    effect that comes down to the winner is no other answer.
     """
     out = []
     least = DISTINCT * max(problem.floor**2, float(winner.errors.mean()))
     for trial in trials:
-        if trial.candidate != winner.candidate and comes_down_to(problem, trial, surely=True) != winner.candidate:
+        if trial.candidate != winner.candidate and comes_down_to(problem, trial) != winner.candidate:
             worse = trial.errors - winner.errors
             low, _ = bootstrap(worse, problem.settings.seed)
             out.append((trial, low > 0.0 and float(worse.mean()) > least))
