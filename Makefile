@@ -65,7 +65,7 @@ check: .venv/ready-dev
 	$(RUN)/python -m pytest -q tests/test_house.py
 
 .venv/ready: pyproject.toml constraints.txt
-	test -x $(RUN)/python || $(PYTHON) -m venv .venv
+	test -x $(RUN)/pip || $(PYTHON) -m venv --clear .venv  # one that was killed half made is made anew
 	$(RUN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[test]"
 	touch $@
 
