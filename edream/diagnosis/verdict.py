@@ -119,7 +119,7 @@ def diagnose(problem: Problem, done: Callable[[str, int], object] = lambda text,
     return Diagnosis(
         problem=problem,
         verdict=verdict,
-        sentence=sentence(verdict, effects, remainder),
+        sentence=sentence(verdict, effects, remainder, problem.robot.joints),
         effects=tuple(effects),
         before=before,
         after=fit,
@@ -261,20 +261,31 @@ def judge(effects: Sequence[Named], remainder: Remainder | None) -> Verdict:
     return "cannot_tell" if any(one.confusable_with for one in effects) else "named"
 
 
-def sentence(verdict: Verdict, effects: Sequence[Named], remainder: Remainder | None) -> str:
-    """The outcome in words that a roboticist uses."""
+def sentence(verdict: Verdict, effects: Sequence[Named], remainder: Remainder | None, joints: Sequence[str]) -> str:
+    """The outcome in words that a roboticist uses; `joints` are all that the robot has."""
     if verdict == "none":
         return "Your simulator agrees with these recordings down to their noise; nothing is missing that they could show."
-    parts = [f"{one.summary}{' on ' + _and(one.targets) if one.targets else ''}" for one in effects]
+    parts = [one.summary + _on(one.targets, joints) for one in effects]
     if verdict == "unnamed":
         what = f" It behaves like {remainder.formula} on {remainder.joint}." if remainder else ""
         beside = f"Your simulator lacks {_and(parts)}, and something else" if parts else "Something real is missing"
         return f"{beside} that no effect in the library explains.{what}"
     if verdict == "cannot_tell":
         doubtful = [one for one in effects if one.confusable_with]
-        names = "; ".join(f"{one.name} may be {' or '.join(one.confusable_with)}" for one in doubtful)
+        names = "; ".join(f"{one.name} may be {' or '.join(_short(r, one) for r in one.confusable_with)}" for one in doubtful)
         return f"Your simulator lacks {_and(parts)}, but these motions cannot tell it from others: {names}."
     return f"Your simulator lacks {_and(parts)}."
+
+
+def _on(targets: Sequence[str], joints: Sequence[str]) -> str:
+    if len(targets) > 2 and set(targets) == set(joints):
+        return f" on all {len(joints)} joints"
+    return f" on {_and(targets)}" if targets else ""
+
+
+def _short(rival: str, one: Named) -> str:
+    """A rival's label, without its place where that is the effect's own."""
+    return rival.removesuffix(f"[{'+'.join(one.targets)}]")
 
 
 def _and(words: Sequence[str]) -> str:

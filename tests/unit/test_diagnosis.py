@@ -16,7 +16,7 @@ from edream.diagnosis.next_motion import as_window, draw, room_of, separations, 
 from edream.diagnosis.nuisance import published
 from edream.diagnosis.problem import Problem, Settings, measurement_noise, nuisance_placements, prepare
 from edream.diagnosis.screen import ENOUGH, Scored, extend, finalists, fits_beside, screen, thinned, with_quantities
-from edream.diagnosis.verdict import is_strange
+from edream.diagnosis.verdict import Named, is_strange, sentence
 from edream.sim.rollout import rollout
 from edream.sim.simulation import SimulatedRobot
 
@@ -127,6 +127,15 @@ def test_a_group_one_of_whose_joints_has_the_effect_is_not_tried(problem: Proble
     tried = [one.candidate for one in screen(tied, begin(has, has.simulated.space.to_unit(absent)))]
     assert Candidate("load_friction", ("pan", "tilt")) in tried
     assert not [one for one in tried if one.effect == "presliding" and "tilt" in one.targets]
+
+
+def test_the_sentence_says_all_joints_rather_than_their_names() -> None:
+    joints = ("a", "b", "c")
+    one = Named("load_friction", "load-dependent friction", joints, {}, {}, {}, 0.5, None, ("stribeck[a+b+c]", "cogging[a]"))
+    said = sentence("cannot_tell", [one], None, joints)
+    assert "load-dependent friction on all 3 joints" in said
+    assert "load_friction may be stribeck or cogging[a]" in said
+    assert "on a and b" in sentence("named", [replace(one, targets=("a", "b"))], None, joints)
 
 
 def test_what_belongs_to_one_assembly_is_not_shared_by_a_hardware_group(problem: Problem) -> None:
