@@ -14,6 +14,7 @@ from edream.report.traces import Trace
 
 POINTS = 5000  # in one cloud
 BINS = 16
+LOADED = 0.1  # of the widest range of load among the joints
 MOVING = 0.01  # rad/s; slower than that has no direction
 UP, DOWN = "#1f9e74", "#b4489a"
 AFTER_JUMP = np.arange(-0.04, 0.3001, 0.004)  # s
@@ -44,10 +45,11 @@ def signature(effect: str, targets: Sequence[str], traces: Sequence[Trace]) -> l
         targets: where it acts; those that are no joints leave the joint with the largest error.
         traces: motions that were never fitted.
     """
-    own = _worst_joint([trace for trace in traces if trace.joint in _joints(targets)] or list(traces))
+    kind = SHOWS.get(effect, "dependence")
+    chosen = [trace for trace in traces if trace.joint in _joints(targets)] or list(traces)
+    own = _worst_joint(_loaded(chosen) if kind == "load" else chosen)
     if not own:
         return []
-    kind = SHOWS.get(effect, "dependence")
     if kind in ALONG:
         return [
             _loops(effect, own, kind),
@@ -78,6 +80,15 @@ def _worst_joint(traces: Sequence[Trace]) -> list[Trace]:
     for trace in traces:
         size[trace.joint] = size.get(trace.joint, 0.0) + min(trace.rms("before"), 1e3) ** 2
     return [trace for trace in traces if trace.joint == max(size, key=lambda joint: size[joint])] if size else []
+
+
+def _loaded(traces: Sequence[Trace]) -> list[Trace]:
+    """Those of joints that gravity loads now more and now less; all, where no joint is."""
+    span = {trace.joint: 0.0 for trace in traces}
+    for trace in traces:
+        if trace.load is not None:
+            span[trace.joint] = max(span[trace.joint], float(np.ptp(trace.load)))
+    return [trace for trace in traces if span[trace.joint] >= LOADED * max(span.values())]
 
 
 @dataclass(frozen=True, eq=False)

@@ -254,6 +254,17 @@ def test_every_kind_of_effect_has_its_picture(effect: str) -> None:
         assert "[" in figure.drawing or figure.drawing.startswith("<img")
 
 
+def test_an_effect_of_the_load_is_drawn_on_a_joint_that_gravity_loads() -> None:
+    time = np.linspace(0.0, 4.0, 200)
+    swing = np.sin(time)
+    upright = Trace("m", "pan", time, swing, swing, swing + 0.5, swing, load=1e-16 * swing)  # the larger error, but no load
+    loaded = Trace("m", "lift", time, swing, swing, swing + 0.1, swing, load=0.4 * np.cos(swing))
+    titles = [figure.title for figure in signature("load_friction", ("pan", "lift"), [upright, loaded])]
+    assert titles and all(title.startswith("lift") for title in titles)
+    titles = [figure.title for figure in signature("stribeck", ("pan", "lift"), [upright, loaded])]
+    assert titles and all(title.startswith("pan") for title in titles)
+
+
 def test_a_large_drawing_becomes_a_bitmap() -> None:
     noise = np.random.default_rng(0).standard_normal((2, 20_000))
     figure = draw("big", "t", "c.", lambda canvas: canvas.subplots().plot(*noise, "."))
