@@ -8,7 +8,7 @@ import numpy as np
 from markupsafe import Markup
 from matplotlib.figure import Figure as Canvas
 
-from edream.report.page import AFTER, BEFORE, COMMAND, PUBLISHED, Figure, draw, page
+from edream.report.page import AFTER, BEFORE, COMMAND, PUBLISHED, Figure, draw, log_scale, page
 from edream.report.recordings import about_recordings
 
 COLUMNS = (  # metric, region, heading
@@ -111,7 +111,7 @@ def losses(history: Mapping[str, Sequence[float]]) -> Figure | None:
             width = max(1, len(values) // 30)
             smooth = np.convolve(values, np.ones(width) / width, "valid")
             axis.plot(np.arange(len(smooth)) + width, smooth, color=colour, label=name)
-        axis.set_yscale("log")
+        log_scale(axis)
         axis.set(xlabel="training step [1]", ylabel="loss [1]")
         canvas.legend(loc="outside upper left", ncols=4)
 

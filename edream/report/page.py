@@ -14,6 +14,7 @@ from markupsafe import Markup
 from matplotlib import rc_context
 from matplotlib.figure import Figure as Canvas
 from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.ticker import FuncFormatter, NullFormatter
 
 SVG_LIMIT = 300_000  # bytes; a larger drawing becomes a bitmap
 # Colours that stand for roles. Inside the page each becomes a CSS variable, so that it suits light and dark.
@@ -97,6 +98,13 @@ def draw(
         if len(drawing.encode()) > SVG_LIMIT:
             drawing = _bitmap(canvas, title)
     return Figure(name, title, caption, drawing, wide)
+
+
+def log_scale(axis: Any) -> None:
+    """A logarithmic y axis whose numbers are plain text: a page cannot set powers of ten."""
+    axis.set_yscale("log")
+    axis.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.yaxis.set_minor_formatter(NullFormatter())
 
 
 def _inline(svg: str, name: str, title: str) -> Markup:

@@ -8,7 +8,7 @@ import numpy as np
 from markupsafe import Markup
 from matplotlib.figure import Figure as Canvas
 
-from edream.report.page import AFTER, BEFORE, COMMAND, Figure, draw, page
+from edream.report.page import AFTER, BEFORE, COMMAND, Figure, draw, log_scale, page
 from edream.report.recordings import about_recordings
 
 
@@ -85,7 +85,7 @@ def _supervised(losses: Mapping[str, Any]) -> Figure:
         )
         held = losses["heldout"]
         axis.plot([one["step"] for one in held], [one["l1"] for one in held], "o-", color=AFTER, label="held out, L1")
-        axis.set_yscale("log")
+        log_scale(axis)
         axis.set(xlabel="training step [1]", ylabel="loss [spreads of the actions]")
         canvas.legend(loc="outside upper left", ncols=2)
 
