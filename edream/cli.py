@@ -195,17 +195,26 @@ def export(
 def report(
     overrides: Runs = None,
     open_it: Annotated[bool, typer.Option("--open", help="Show it in a browser.")] = False,
+    whole: Annotated[
+        str | None, typer.Option("--whole", metavar="NAME", help="One page about all runs NAME-..., beside the paper's numbers.")
+    ] = None,
+    truth: Annotated[
+        Path | None, typer.Option("--truth", metavar="T.json", help="With --whole: the sealed truth, to say what was hidden.")
+    ] = None,
     json: Json = False,
 ) -> None:
-    """Write the report of the newest calibration or diagnosis anew where it is missing, and print its path.
+    """Write the report of the newest calibration, diagnosis, video or policy anew where it is missing, and print its path.
 
-    Examples: `edream report`, `edream report --open runs=runs`
+    Examples: `edream report`, `edream report --open runs=runs`, `edream report --whole reproduce runs=runs`
     """
     from edream import cli_report
 
     cfg = _compose(overrides, None)
     with _stdout_for_json(json) as write:
-        cli_report.report(cfg, open_it, write if json else None)
+        if whole is not None:
+            cli_report.whole(cfg, whole, truth, open_it, write if json else None)
+        else:
+            cli_report.report(cfg, open_it, write if json else None)
 
 
 @app.command()
@@ -260,7 +269,7 @@ def explain(
 
 @app.command()
 def doctor(json: Json = False) -> None:
-    """Say what this machine can run: versions, cores, rendering.
+    """Say what this machine can run: versions, cores, memory, rendering, and each experiment of conf/experiment.
 
     Example: `edream doctor`
     """

@@ -8,9 +8,12 @@ import platform
 import re
 import subprocess
 import sys
+from collections.abc import Mapping
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
+
+from omegaconf import OmegaConf
 
 from edream import catalog, cli_show, config, executor
 from edream.core.errors import unknown_name
@@ -73,7 +76,7 @@ def explain_setting(name: str, json: bool) -> None:
 
 
 def doctor(json: bool) -> None:
-    """Print versions, cores and what can be rendered."""
+    """Print versions, cores, what can be rendered, and what of each experiment of `conf/experiment/` can run here."""
     found = {
         "edream": _version("edream") or "from a checkout",
         "python": platform.python_version(),
@@ -84,16 +87,46 @@ def doctor(json: bool) -> None:
         "rendering": {kind: _renderer(kind) for kind in ("egl", "osmesa")},
     }
     found["torch threads"] = _torch_threads()
+    found["memory [GB]"] = round(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e9, 1)
+    found["gpu"] = _gpu()
     missing = [name for name, there in found["packages"].items() if there == "missing"]
     draws = [kind for kind, renderer in found["rendering"].items() if not renderer.startswith("no")]
     found["can run"] = {
         "ingest, calibrate, diagnose, replay": "yes" if not missing else f"no: {', '.join(missing)} missing",
         "rendering": f"yes, MUJOCO_GL={draws[0]}" if draws else "no: neither EGL nor OSMesa works; install libegl1 or libosmesa6",
     }
+    found["experiments"] = {file.stem: _experiment(file.stem, found) for file in _experiments()}
     if json:
         print(json_.dumps(found, indent=2))
     else:
         cli_show.table(found)
+
+
+def _experiments() -> list[Path]:
+    return sorted((config.conf_folder() / "experiment").glob("*.yaml"))
+
+
+def _experiment(name: str, found: Mapping[str, Any]) -> str:
+    """What of an experiment this machine can run, and what stands in the way of the rest."""
+    cfg = config.compose([f"experiment={name}"])
+    robot = f"{cfg.robot.name}, " if cfg.robot.get("name") else ""
+    give = "with data=PATH" if OmegaConf.is_missing(cfg, "data") else "as it is"
+    give += " robot.mjcf=PATH" if OmegaConf.is_missing(cfg.robot, "mjcf") else ""
+    first = "yes" if found["can run"]["ingest, calibrate, diagnose, replay"] == "yes" else "no"
+    cuda = [part for part in ("dream", "policy") if cfg[part].device == "cuda" and not found["gpu"]]
+    reasons = [found["can run"]["rendering"].removeprefix("no: ")] if found["can run"]["rendering"].startswith("no") else []
+    reasons += [f"{' and '.join(f'{part}.device' for part in cuda)} ask for a GPU, and there is none"] if cuda else []
+    rest = f"no: {'; '.join(reasons)}" if reasons else "yes"
+    return f"{robot}{give}: calibrate, diagnose {first}; dream, train-policy {rest}"
+
+
+def _gpu() -> str | None:
+    """Name of the GPU that torch finds, or None."""
+    if _version("torch") is None:
+        return None
+    import torch
+
+    return torch.cuda.get_device_name(0) if torch.cuda.is_available() else None
 
 
 def _catalogs() -> list[str]:

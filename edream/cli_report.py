@@ -1,13 +1,15 @@
-"""The command that shows the newest report, and writes it anew where it is missing."""
+"""The command that shows the newest report, and writes it anew where it is missing; or one page about several runs."""
 
 import json as json_
 import webbrowser
 from collections.abc import Callable
+from pathlib import Path
 
 from omegaconf import DictConfig, OmegaConf
 
 from edream import cli_show, pipeline
 from edream.core.errors import EdreamError
+from edream.core.stage import stage_of
 from edream.store import Store, StoredArtifact
 
 REPORTED = {"fit": "fit", "diagnose": "diagnose", "score": "dream", "evaluate": "evaluate"}  # stage -> what its page is about
@@ -36,6 +38,49 @@ def report(cfg: DictConfig, open_it: bool, write: Callable[[str], object] | None
         write(json_.dumps(found, indent=2))
     else:
         cli_show.table(found)
+    if open_it:
+        webbrowser.open(path.as_uri())
+
+
+def whole(cfg: DictConfig, prefix: str, truth: Path | None, open_it: bool, write: Callable[[str], object] | None) -> None:
+    """One page about every run whose name begins with `prefix` and a dash: our tables beside the paper's.
+
+    Args:
+        cfg: the composed config; of it only the store's place counts.
+        prefix: what the names of the runs begin with; the page's own run has this name alone.
+        truth: the sealed truth of a make-believe robot, to say what was hidden; None where there is none.
+        open_it: show the page in a browser.
+        write: prints the JSON object, or None to print for a person.
+
+    Raises:
+        EdreamError: there is no such run, or an artifact of it is gone.
+    """
+    from edream.record import revealed
+
+    store = pipeline.open_store(cfg)
+    runs = {name: run["made"] for name, run in store.runs().items() if name.startswith(f"{prefix}-")}
+    if not runs:
+        raise EdreamError(f"No run in {store.root} has a name that begins with {prefix}-; give your commands run={prefix}-NAME.")
+    given = {}
+    for run, made in runs.items():
+        for need, key in made.items():
+            artifact = store.find(stage_of(need), key)
+            if artifact is None:
+                raise EdreamError(f"The run {run} names {need} {key}, which does not exist; run its command again.")
+            if artifact.stage != "report":
+                given[f"{need} run={run}"] = artifact
+    names = [one.manifest["fields"]["config"].get("robot", {}).get("name") for one in given.values()]
+    about = {"of": "whole", "parts": list(given), "hidden": revealed(truth) if truth else []}
+    OmegaConf.update(cfg, "report", OmegaConf.create(about))
+    OmegaConf.update(cfg, "robot.name", next((name for name in names if name), None))
+    with store.session():
+        page = pipeline.make("report", cfg, given)
+        store.name_run(prefix, {"command": f"report --whole {prefix}", "made": {"report": page.key}})
+    path = page.path("report.html").absolute()
+    if write is not None:
+        write(json_.dumps({"report": str(path), "digest": page.digest, "runs": list(runs)}, indent=2))
+    else:
+        cli_show.table({"report": str(path), "digest": page.digest, "runs": list(runs)})
     if open_it:
         webbrowser.open(path.as_uri())
 

@@ -133,7 +133,7 @@ class WorkcellEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
         return {"success": outcome.success, "grasped": bool(outcome.grasped), "distance": outcome.distance}
 
     def _seen(self, seen: Observation) -> dict[str, np.ndarray]:
-        self._images = self._dreamed() if self._dreamer else seen.images
+        self._images = self._dreamed() if self._dreamer else dict(seen.images)
         out = {"joints": seen.joints.astype(np.float32), **self._images}
         if self.observed == "state":
             out |= {name: pose.astype(np.float32) for name, pose in sorted(self.world.state().items())}

@@ -145,6 +145,15 @@ def hidden_robot(robot: RobotModel, config: RecordConfig, seed: int, task: bool 
     return with_cell(draw(robot, effects, rng, config.deviation, config.at), seed)
 
 
+def revealed(path: Path) -> list[str]:
+    """What is hidden in a make-believe robot, in words; for readers of results, when all else is done.
+
+    Raises:
+        EdreamError: the file is no sealed truth.
+    """
+    return [f"{one.name} on {', '.join(one.targets) or 'all'}" for one in unseal(path).effects]
+
+
 def read_motion(path: Path, robot: RobotModel, rate: float) -> Float[np.ndarray, "K J"]:
     """Commands of a table at `rate` rows per second, in the order of the model's joints, (K, J).
 

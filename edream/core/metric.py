@@ -1,6 +1,7 @@
 """A metric: one number that says how near dreamed video is to real video."""
 
 from abc import ABC, abstractmethod
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -16,6 +17,8 @@ class Metric(ABC):
         unit: of the number, or "".
         better: whether more or less is better, or nearer to 1.
         regional: whether it can be taken over a part of the images.
+        learned: whether it needs weights, which no package ships: `score.weights.NAME`.
+        about: which weights it has, for the report.
     """
 
     name: str
@@ -23,6 +26,16 @@ class Metric(ABC):
     unit: str = ""
     better: Literal["more", "less", "one"]
     regional: bool = False
+    learned: bool = False
+    about: str = ""
+
+    def ready(self, weights: Path) -> "Metric":
+        """A learned metric with its weights from a local file; others as they are.
+
+        Raises:
+            EdreamError: the file is missing, damaged, pickled, or does not fit.
+        """
+        return self
 
     @abstractmethod
     def score(self, made: Clips, real: Clips, region: Bool[np.ndarray, "N T H W"]) -> float | None:

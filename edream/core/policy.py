@@ -14,7 +14,8 @@ class Observation:
 
     Attributes:
         joints: measured positions [rad, or m for slides], grippers included, in the robot's actuator order, (A,).
-        images: camera name -> RGB image (H, W, 3); empty without cameras.
+        images: camera name -> RGB image (H, W, 3); empty without cameras. A world may take them only when they are first asked for,
+            so whoever keeps an observation beyond the next step copies them.
     """
 
     joints: Float[np.ndarray, "A"]

@@ -1,6 +1,7 @@
 """The evidence of a diagnosis as tables, for the report and for anyone who wants to look."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import mujoco
@@ -112,9 +113,9 @@ def _errors(found: Diagnosis) -> dict[str, Any]:
 def _nuisance(found: Diagnosis) -> list[dict[str, Any]]:
     before, after = _numbers(found.before), _numbers(found.after)
     published = {
-        place.full_name(p.name): p
+        p.name: p
         for place in found.before.objective.simulated.placements
-        for p in place.effect.parameters(found.problem.robot.model, place.targets)
+        for p in replace(place, bounds=None, fixed=None).parameters(found.problem.robot.model)
     }
     return [
         {

@@ -18,6 +18,7 @@ from edream.diagnosis.problem import Problem
 from edream.diagnosis.remainder import Remainder, find_remainder
 from edream.diagnosis.suspects import Suspect, find_suspects
 from edream.sim.objective import rms
+from edream.sim.simulation import unit_at
 
 ALIKE = 0.9  # a rival that closes this share of what the winner closes may be the true one
 STRANGE = (0.68, 1.35)  # times its published value: a nuisance number below or above is an effect itself, 30 % off is usual
@@ -182,7 +183,7 @@ def numbers_of(
     return (
         {short: values[name] for short, name in full.items()},
         {short: intervals[name] for short, name in full.items()},
-        {p.name: p.unit for p in parameters},
+        {p.name: unit_at(p, problem.robot.model, place.targets) for p in parameters},
     )
 
 

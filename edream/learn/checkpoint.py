@@ -34,8 +34,17 @@ def read_weights(path: Path) -> dict[str, torch.Tensor]:
         raise EdreamError(f"{path} is no safetensors file or is damaged: {' '.join(str(error).split())}.") from error
 
 
-def fill(module: nn.Module, weights: Mapping[str, torch.Tensor], where: str) -> None:
+def fill(
+    module: nn.Module,
+    weights: Mapping[str, torch.Tensor],
+    where: str,
+    hint: str = "check the settings under dream.codec and dream.denoiser",
+) -> None:
     """Give a network its weights, all of them and no others.
+
+    Args:
+        where: how messages name the weights.
+        hint: what to do where they do not fit.
 
     Raises:
         EdreamError: a tensor is missing, unknown, of another shape, or holds numbers that are not finite.
@@ -45,8 +54,7 @@ def fill(module: nn.Module, weights: Mapping[str, torch.Tensor], where: str) -> 
     if missing or more:
         first = f"{missing[0]!r} is missing" if missing else f"{more[0]!r} is unknown"
         raise EdreamError(
-            f"{where} does not fit this network: {first} ({len(missing)} tensors missing, {len(more)} unknown); "
-            "check the settings under dream.codec and dream.denoiser."
+            f"{where} does not fit this network: {first} ({len(missing)} tensors missing, {len(more)} unknown); {hint}."
         )
     for name, tensor in weights.items():
         if tensor.shape != own[name].shape:

@@ -5,7 +5,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from edream.core.metric import Clips, Metric
-from edream.vision.features import energies
+from edream.vision.features import energies, frechet
 
 
 class GaborFrechet(Metric):
@@ -42,15 +42,6 @@ def _samples(clip: np.ndarray) -> Float[np.ndarray, "4 39"]:
             some = each[:, y, x]
             rows.append(np.r_[some.mean(axis=(0, 1, 2)), some.std(axis=(0, 1, 2)), rough[:, :, y, x].mean(axis=(0, 2, 3))])
     return np.array(rows, np.float64)
-
-
-def frechet(a: Float[np.ndarray, "N F"], b: Float[np.ndarray, "M F"]) -> float:
-    """Frechet distance of two samples, by eigenvalues in double precision."""
-    ca, cb = np.cov(a.T) + 1e-6 * np.eye(a.shape[1]), np.cov(b.T) + 1e-6 * np.eye(b.shape[1])
-    values, vectors = np.linalg.eigh(ca)
-    root = vectors @ np.diag(np.sqrt(np.maximum(values, 0.0))) @ vectors.T
-    cross = np.sqrt(np.maximum(np.linalg.eigvalsh(root @ cb @ root), 0.0)).sum()
-    return float(np.square(a.mean(axis=0) - b.mean(axis=0)).sum() + np.trace(ca) + np.trace(cb) - 2.0 * cross)
 
 
 ENTRY = GaborFrechet()

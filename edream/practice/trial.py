@@ -1,7 +1,7 @@
 """A trial: one policy, one world, one start, from the first look to the outcome."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -141,7 +141,7 @@ def play(
     joints, images, states, actions = [], [], [], []
     for step in range(steps):
         if film is not None:
-            film.append(observation)
+            film.append(replace(observation, images=dict(observation.images)))
         if step % about.stride == 0:
             row = _row(world, observation, eyes, about)
             for kept, value in zip((joints, images, states), row, strict=True):

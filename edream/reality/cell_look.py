@@ -146,14 +146,14 @@ class Lens:
 
     def begin(self, seed: int) -> None:
         """Another trial, in another light."""
-        self.rng = np.random.default_rng(seed)
-        self.phase, self.level = self.rng.uniform(0.0, 2.0 * np.pi, 2), 1.0 + self.look.drift * self.rng.uniform(-1.0, 1.0)
+        self.seed, rng = seed, np.random.default_rng(seed)
+        self.phase, self.level = rng.uniform(0.0, 2.0 * np.pi, 2), 1.0 + self.look.drift * rng.uniform(-1.0, 1.0)
 
     def see(
         self, model: mujoco.MjModel, data: mujoco.MjData, time: float, clean: bool = False
     ) -> dict[str, UInt8[np.ndarray, "H W 3"]]:
-        """The images as the cameras give them; `clean` ones without drift and noise."""
-        look, drift = self.look, self.look.drift
+        """The images as the cameras give them; `clean` ones without drift and noise. What was looked at before changes nothing."""
+        look, drift, rng = self.look, self.look.drift, np.random.default_rng((self.seed, round(1e4 * time)))
         light = self.level * (1.0 + 0.5 * drift * np.sin(2.0 * np.pi * time / 7.0 + self.phase[0]))
         warmth = 1.0 + 0.25 * drift * np.array([1.0, 0.0, -1.0]) * np.sin(2.0 * np.pi * time / 11.0 + self.phase[1])
         out = {}
@@ -167,7 +167,7 @@ class Lens:
             if look.blur > 0.0:
                 image = cv2.GaussianBlur(image, (0, 0), look.blur * image.shape[0])
             small = image.reshape(look.height, SCALE, look.width, SCALE, 3).mean(axis=(1, 3)) / 255.0
-            out[name] = sensed(small, np.ones(3) if clean else light * warmth, 0.0 if clean else look.noise, self.rng)
+            out[name] = sensed(small, np.ones(3) if clean else light * warmth, 0.0 if clean else look.noise, rng)
         return out
 
     def close(self) -> None:

@@ -1,6 +1,6 @@
 """The make-believe real workcell: the hidden robot at its bench, its own contacts, its own look."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
 import mujoco
 import numpy as np
@@ -27,6 +27,31 @@ SHAPES = {
     "sphere": mujoco.mjtGeom.mjGEOM_SPHERE,
 }
 CONTACT = ([0.006, 1.0], [0.96, 0.99, 0.001, 0.5, 2.0])  # solref, solimp
+
+
+class Glance(Mapping[str, np.ndarray]):
+    """The images of one moment, taken when one of them is first asked for: most steps of a policy look at none.
+
+    Raises:
+        EdreamError: they are asked for only after the world has moved on.
+    """
+
+    def __init__(self, world: "RealWorkcell", time: float) -> None:
+        self._world, self._time, self._moment = world, time, world.moment
+        self._taken: Mapping[str, np.ndarray] | None = None
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        if self._taken is None:
+            if self._world.moment != self._moment:
+                raise EdreamError("An image of an earlier step was asked for; look before the next step.")
+            self._taken = self._world.see(self._time)
+        return self._taken[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._world.cameras)
+
+    def __len__(self) -> int:
+        return len(self._world.cameras)
 
 
 class RealWorkcell(World):
@@ -67,6 +92,7 @@ class RealWorkcell(World):
         full = np.where(slide, nominal.jnt_range[:, 1] - nominal.jnt_range[:, 0], 2.0 * np.pi)
         self._count, self._noise = full / self.recorder.counts, self.recorder.noise * np.where(slide, full, 1.0)
         self._lens: Lens | None = None
+        self.moment = 0
         self._seed = int(truth.cell.get("look", 0))
         self.reset(0)
 
@@ -91,7 +117,7 @@ class RealWorkcell(World):
                 rest[[self.robot.joint_index(n) for n in arm.joints]] += noise.joints * self._chance.standard_normal(
                     len(arm.joints)
                 )
-        self._taken = 0
+        self._taken, self.moment = 0, self.moment + 1
         self.session.rest(self._inside(np.clip(rest, self.low, self.high)), SETTLE)
         self.scene = Scene(layout, self.state(), self.session.data.site_xpos[self._hand].copy())
         if self.look is not None:
@@ -103,7 +129,7 @@ class RealWorkcell(World):
         action = np.asarray(action, dtype=float)
         if action.shape != self.low.shape or not np.isfinite(action).all():
             raise EdreamError(f"An action has shape {action.shape}; expected {self.actions} finite numbers.")
-        self._taken += 1
+        self._taken, self.moment = self._taken + 1, self.moment + 1
         self.session.run(self._inside(np.clip(action, self.low, self.high)), SETTLE + self._taken / self.rate)
         data = self.session.data
         found = pinched(data.contact.geom[: data.ncon], self._finger, self._thing)
@@ -154,7 +180,11 @@ class RealWorkcell(World):
         noisy = self.session.encoder() + self._noise * self._chance.standard_normal(len(self._names))
         joints = (np.round(noisy / self._count) * self._count)[self._order]
         time = self._taken / self.rate
-        return Observation(joints, self._lens.see(self.session.model, self.session.data, time) if self._lens else {})
+        return Observation(joints, Glance(self, time) if self._lens else {})
+
+    def see(self, time: float) -> Mapping[str, np.ndarray]:
+        """What the cameras show now, `time` seconds into the trial."""
+        return self._lens.see(self.session.model, self.session.data, time) if self._lens else {}
 
     def _model(self, things: tuple[Thing, ...], grip: float, start: int) -> mujoco.MjModel:
         spec = self.robot.spec()

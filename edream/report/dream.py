@@ -18,6 +18,8 @@ COLUMNS = (  # metric, region, heading
     ("psnr", "robot", "robot"),
     ("psnr", "background", "background"),
     ("ssim", "all", "SSIM"),
+    ("lpips", "all", "LPIPS"),
+    ("fvd", "all", "FVD"),
     ("gabor_distance", "all", "Gabor distance"),
     ("gabor_frechet", "all", "Gabor Fréchet"),
     ("flicker", "background", "flicker (1 is right)"),
@@ -36,13 +38,15 @@ def dream_page(made: Mapping[str, Mapping[str, Any]], robot: str) -> str:
     scored = made["score"]
     summary, scores = scored["summary.json"], scored["scores.json"]
     pictures = scores["pictures"]
+    columns = [(m, r, heading) for m, r, heading in COLUMNS if any(m in row for row in scores["rows"])]
     content = {
         "title": f"Dreamed video of {robot}",
         "sentence": summary["sentence"],
         "summary": summary,
         "tiles": _tiles(summary),
-        "columns": [heading for _, _, heading in COLUMNS],
-        "rows": [{"label": row["label"], "cells": [_cell(row, m, r) for m, r, _ in COLUMNS]} for row in scores["rows"]],
+        "columns": [heading for _, _, heading in columns],
+        "rows": [{"label": row["label"], "cells": [_cell(row, m, r) for m, r, _ in columns]} for row in scores["rows"]],
+        "learned": learned_words(scores),
         "long": scores["long"],
         "moving": _picture("moving", "In motion", " | ".join(pictures["moving"]), scored["moving.png"]),
         "strips": [
@@ -67,6 +71,15 @@ def dream_page(made: Mapping[str, Mapping[str, Any]], robot: str) -> str:
         "recordings": about_recordings(made["ingest"]),
     }
     return page("dream.html.j2", content)
+
+
+def learned_words(scores: Mapping[str, Any]) -> str:
+    """Which learned metrics there are, and which are not computed for want of weights."""
+    names = {"lpips": "LPIPS", "fvd": "FVD"}
+    there = [f"{about}." for about in scores["metrics"].values()]
+    lacking = [names[name] for name in scores["not_computed"] if name in names]
+    said = [f"{' and '.join(lacking)}: not computed, for no weights were given (score.weights)."] if lacking else []
+    return " ".join([*there, *said])
 
 
 def _tiles(summary: Mapping[str, Any]) -> list[tuple[str, str, str]]:

@@ -10,6 +10,7 @@ GEAR_SUFFIX = "_gear"
 LINK_SHARE = 0.1  # of the armature stays on the link (output shaft), so that light links keep a stable gear
 STABLE = 0.3  # of reduced inertia / step^2: the stiffest spring that explicit integration carries
 RIGID = 0.9999
+BARE = 0.02  # of the inertia at a joint: what a rotor is taken to have where the model gives the joint no armature
 
 
 def add_rotor(spec: mujoco.MjSpec, joint: str) -> mujoco.MjsTendon:
@@ -17,7 +18,8 @@ def add_rotor(spec: mujoco.MjSpec, joint: str) -> mujoco.MjsTendon:
 
     Armature, damping and dry friction move to the rotor, a massless body on the same axis. Three things tie it to the link: a fixed
     tendon `<joint>_gear` of length link - motor, which effects give stiffness or a range, and an equality `<joint>_gear` that locks
-    both together until an effect opens it. Adding it twice changes nothing. Keyframes are dropped: their size no longer fits.
+    both together until an effect opens it. Adding it twice changes nothing. Where the model gives no armature, a rotor of `BARE` of
+    the joint's inertia comes on top. Keyframes are dropped: their size no longer fits.
 
     Returns:
         The tendon.
@@ -27,12 +29,13 @@ def add_rotor(spec: mujoco.MjSpec, joint: str) -> mujoco.MjsTendon:
         if tendon.name == gear:
             return tendon
     link = spec.joint(joint)
+    inertia = link.armature if link.armature > 0.0 else bare_rotor(spec.copy().compile(), joint)
     carrier = link.parent.parent.add_body(name=motor, pos=link.parent.pos, quat=link.parent.quat, mass=1e-6, inertia=[1e-9] * 3)
     carrier.explicitinertial, carrier.ipos = True, np.zeros(3)  # MuJoCo writes no inertial without a place
     for kind in ("axisangle", "xyaxes", "zaxis", "euler", "type"):
         setattr(carrier.alt, kind, getattr(link.parent.alt, kind))
     rotor = carrier.add_joint(name=motor, type=link.type, pos=link.pos, axis=link.axis, ref=link.ref)
-    rotor.armature, link.armature = (1.0 - LINK_SHARE) * link.armature, LINK_SHARE * link.armature
+    rotor.armature, link.armature = (1.0 - LINK_SHARE) * inertia, LINK_SHARE * inertia
     rotor.damping, link.damping = link.damping, np.zeros(3)
     rotor.frictionloss, link.frictionloss = link.frictionloss, 0.0
     rotor.solref_friction, rotor.solimp_friction = link.solref_friction, link.solimp_friction
@@ -63,10 +66,16 @@ def gear_limit(model: mujoco.MjModel, joint: str) -> float:
     """The stiffest gear that stays stable at this model's time step [N m/rad], of the model as published or with its rotor."""
     number = model.joint(joint + MOTOR_SUFFIX if has_rotor(model, joint) else joint).id
     inertia = float(model.dof_armature[model.jnt_dofadr[number]]) / ((1.0 - LINK_SHARE) if has_rotor(model, joint) else 1.0)
+    inertia = inertia if inertia > 0.0 else bare_rotor(model, joint)
     inside = 0.0 if has_rotor(model, joint) else (1.0 - LINK_SHARE) * inertia
     link = max(float(model.dof_M0[model.jnt_dofadr[model.joint(joint).id]]) - inside, 1e-9)
     rotor = (1.0 - LINK_SHARE) * inertia
     return STABLE / float(model.opt.timestep) ** 2 * link * rotor / (link + rotor)
+
+
+def bare_rotor(model: mujoco.MjModel, joint: str) -> float:
+    """The inertia that a rotor is taken to have behind a joint without armature [kg m^2]."""
+    return BARE * float(model.dof_M0[model.jnt_dofadr[model.joint(joint).id]])
 
 
 def has_rotor(model: mujoco.MjModel, joint: str) -> bool:

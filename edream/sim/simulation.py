@@ -16,6 +16,29 @@ from edream.core.parameters import Parameter, ParameterSpace
 from edream.sim.robot import RobotModel
 
 T = TypeVar("T")
+LINEAR = {
+    "rad": "m",
+    "rad/s": "m/s",
+    "rad/(N m)": "m/N",
+    "N m": "N",
+    "N m/rad": "N/m",
+    "N m/rad^3": "N/m^3",
+    "N m s/rad": "N s/m",
+    "N m s^2/rad^2": "N s^2/m^2",
+    "N m/(rad s)": "N/(m s)",
+    "kg m^2": "kg",
+}
+
+
+def unit_at(parameter: Parameter, model: mujoco.MjModel, targets: Sequence[str]) -> str:
+    """The unit of a parameter at its place: effects say theirs for joints that turn, and a joint that slides has the linear one."""
+    slides = [
+        index
+        for target in targets
+        for index in [mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, target.partition("<-")[0])]
+        if index >= 0 and model.jnt_type[index] == mujoco.mjtJoint.mjJNT_SLIDE
+    ]
+    return LINEAR.get(parameter.unit, parameter.unit) if slides and len(slides) == len(targets) else parameter.unit
 
 
 @dataclass(frozen=True)
@@ -59,7 +82,8 @@ class Placement:
             changes = dict((self.bounds or {}).get(parameter.name, {}))
             if parameter.name in (self.fixed or {}):
                 continue
-            out.append(replace(parameter, **changes, name=self.full_name(parameter.name)))
+            unit = unit_at(parameter, model, self.targets)
+            out.append(replace(parameter, **changes, name=self.full_name(parameter.name), unit=unit))
         return tuple(out)
 
 

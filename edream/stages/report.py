@@ -1,4 +1,4 @@
-"""Report: one self-contained page about a calibration, a diagnosis, dreamed video or a policy."""
+"""Report: one self-contained page about a calibration, a diagnosis, dreamed video, a policy, or all of them."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,6 +12,7 @@ from edream.report.calibration import calibration_page
 from edream.report.diagnosis import diagnosis_page
 from edream.report.dream import dream_page
 from edream.report.policy import policy_page
+from edream.report.whole import whole_page
 
 PAGE = "report.html"
 DREAM = ("score", "dream", "condition", "masks", "render", "camera", "ingest")
@@ -19,9 +20,17 @@ DREAM = ("score", "dream", "condition", "masks", "render", "camera", "ingest")
 
 @dataclass(frozen=True)
 class ReportOptions:
-    """What the page is about: the stage `fit`, `diagnose`, `dream` or `evaluate`."""
+    """What the page is about: the stage `fit`, `diagnose`, `dream` or `evaluate`, or `whole`, all that several runs made.
 
-    of: Literal["fit", "diagnose", "dream", "evaluate"]
+    Attributes:
+        of: which of them.
+        parts: for `whole`, artifacts by need and run, such as "fit run=mine"; `edream report --whole` finds them.
+        hidden: for `whole`, what was hidden in a make-believe robot.
+    """
+
+    of: Literal["fit", "diagnose", "dream", "evaluate", "whole"]
+    parts: tuple[str, ...] = ()
+    hidden: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -66,6 +75,8 @@ class ReportConfig:
 
 def needs(config: ReportConfig) -> tuple[str, ...]:
     """What the page is about, the recordings, and the surrogate where one was used."""
+    if config.report.of == "whole":
+        return config.report.parts
     if config.report.of == "diagnose":
         return ("diagnose", "ingest")
     if config.report.of == "dream":
@@ -84,6 +95,8 @@ def _fit_by(method: str) -> tuple[str, ...]:
 def run(inputs: Mapping[str, Artifact], config: ReportConfig, work: Work) -> Bundle:
     """Draw and write the page."""
     robot = config.robot.name or "your robot"
+    if config.report.of == "whole":
+        return {PAGE: whole_page(by_run(inputs), config.report.hidden, robot)}
     if config.report.of == "diagnose":
         return {PAGE: diagnosis_page(inputs["diagnose"], inputs["ingest"], robot)}
     if config.report.of == "dream":
@@ -91,6 +104,15 @@ def run(inputs: Mapping[str, Artifact], config: ReportConfig, work: Work) -> Bun
     if config.report.of == "evaluate":
         return {PAGE: policy_page(inputs, robot)}
     return {PAGE: calibration_page(inputs["fit"], inputs["ingest"], inputs.get("surrogate"), robot, methods(inputs))}
+
+
+def by_run(inputs: Mapping[str, Artifact]) -> dict[str, dict[str, Artifact]]:
+    """Run -> need -> artifact, of parts such as "fit fit.method=annealing run=mine"."""
+    found: dict[str, dict[str, Artifact]] = {}
+    for part, artifact in inputs.items():
+        need, _, run = part.rpartition(" run=")
+        found.setdefault(run, {})[need] = artifact
+    return found
 
 
 ENTRY = Stage("report", 2, needs, ReportConfig, run, None, ("matplotlib",))

@@ -2,12 +2,13 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from edream import catalog
-from edream.core.stage import Artifact, Bundle, Stage, Work
+from edream.core.stage import Artifact, Bundle, Source, Stage, Work
 from edream.ingest.layered import layered_images
 from edream.ingest.video import encode_image
 from edream.learn.determinism import deterministic
@@ -21,6 +22,7 @@ from edream.vision.judging import (
     held_still,
     long_video,
     plates,
+    ready_metrics,
     real_clips,
     regions,
     scores,
@@ -41,6 +43,7 @@ class ScoreOptions:
     clips: int = 32
     steps: tuple[int, ...] = (2, 4)
     metrics: tuple[str, ...] = ()
+    weights: Mapping[str, Path | None] = field(default_factory=dict)
     grain: bool = True
     strips: int = 4
     long: int = 200
@@ -96,13 +99,13 @@ def run(inputs: Mapping[str, Artifact], config: ScoreConfig, work: Work) -> Bund
         models, scenes, picked, options.frames, config.seed, sources, grains, asked.steps, options.overlap if options.known else 0
     )
     later = {name: mask & (np.arange(options.frames) >= bench.given)[:, None, None] for name, mask in where.items()}
-    names = asked.metrics or catalog.names("metrics")
+    metrics = ready_metrics(asked.metrics, _weights(asked))
     clips: dict[str, Clips] = {}
     table: list[dict[str, Any]] = []
 
     def measured(row: Row, rng: np.random.Generator) -> Bundle:
         made = row[1]()
-        found = scores(made, real, later if AFTER in row[0] else where, names) | {
+        found = scores(made, real, later if AFTER in row[0] else where, metrics) | {
             "silhouette_iou": {"robot": silhouette_iou(made, scenes, picked, where)}
         }
         return {"found.json": found, "made.safetensors": {"made": made}}
@@ -116,7 +119,12 @@ def run(inputs: Mapping[str, Artifact], config: ScoreConfig, work: Work) -> Bund
     table.append({"label": "real", "silhouette_iou": {"robot": silhouette_iou(real, scenes, picked, where)}})
     pictures, about_pictures = _pictures(clips | {"real": real}, sources, asked.strips, config.render.rate or 12.5)
     summary = _summary(table, sources, inputs["dream"]["summary.json"], longest, len(picked), options)
-    return pictures | {"summary.json": summary, "scores.json": {"rows": table, "long": longest, "pictures": about_pictures}}
+    told = {"metrics": {name: one.about for name, one in metrics.items() if one.learned}}
+    told |= {"not_computed": [name for name in catalog.names("metrics") if name not in metrics]}
+    return pictures | {
+        "summary.json": summary | {"not_computed": told["not_computed"]},
+        "scores.json": {"rows": table, "long": longest, "pictures": about_pictures, **told},
+    }
 
 
 def _picked(scenes: Scenes, frames: int, most: int) -> list[tuple[int, int]]:
@@ -224,4 +232,13 @@ def _summary(
     return summary | {f"long_{name}": value for name, value in longest.items()}
 
 
-ENTRY = Stage("score", 1, ("condition", "dream"), ScoreConfig, run, None, ("torch", "numpy", "scikit-image"))
+def _weights(asked: ScoreOptions) -> dict[str, Path]:
+    return {name: path for name, path in asked.weights.items() if path is not None}
+
+
+def sources(config: ScoreConfig) -> Mapping[str, Source]:
+    """Weights of learned metrics; those of the model are part of the stage before."""
+    return {f"metric {name}": path for name, path in _weights(config.score).items()}
+
+
+ENTRY = Stage("score", 2, ("condition", "dream"), ScoreConfig, run, sources, ("torch", "numpy", "scikit-image"))

@@ -29,6 +29,15 @@ def energies(image: UInt8[np.ndarray, "H W 3"]) -> Float[np.ndarray, "H W 18"]:
     return np.stack(found, axis=-1)
 
 
+def frechet(a: Float[np.ndarray, "N F"], b: Float[np.ndarray, "M F"], ridge: float = 1e-6) -> float:
+    """Frechet distance of two samples, by eigenvalues in double precision; `ridge` is added to all variances."""
+    ca, cb = np.cov(a.T) + ridge * np.eye(a.shape[1]), np.cov(b.T) + ridge * np.eye(b.shape[1])
+    values, vectors = np.linalg.eigh(ca)
+    root = vectors @ np.diag(np.sqrt(np.maximum(values, 0.0))) @ vectors.T
+    cross = np.sqrt(np.maximum(np.linalg.eigvalsh(root @ cb @ root), 0.0)).sum()
+    return float(np.square(a.mean(axis=0) - b.mean(axis=0)).sum() + np.trace(ca) + np.trace(cb) - 2.0 * cross)
+
+
 def _bank() -> list[tuple[np.ndarray, np.ndarray]]:
     bank = []
     for wavelength in WAVELENGTHS:

@@ -1,6 +1,7 @@
 """How good dreamed video is: metrics by region, the robot's silhouette, seams and drift of long video."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -8,6 +9,7 @@ import torch
 from jaxtyping import Bool, UInt8
 
 from edream import catalog
+from edream.core.errors import EdreamError, unknown_name
 from edream.core.metric import Metric
 from edream.vision.clips import Clip, Scenes, clip_of
 from edream.vision.dreamer import DreamModel, finished
@@ -74,11 +76,28 @@ def plates(scenes: Scenes, picked: Sequence[tuple[int, int]], frames: int) -> Cl
     return np.stack([np.repeat(np.asarray(scenes.references[n])[None], frames, axis=0) for n, _ in picked])
 
 
-def scores(made: Clips, real: Clips, where: Regions, names: Sequence[str]) -> dict[str, dict[str, float | None]]:
+def ready_metrics(names: Sequence[str], weights: Mapping[str, Path]) -> dict[str, Metric]:
+    """The metrics that can be computed: all that were named, or all there are but learned ones without weights.
+
+    Raises:
+        EdreamError: a metric does not exist, its weights are missing or do not fit, or weights are given that none takes.
+    """
+    there = {name: catalog.load("metrics", name, Metric) for name in names or catalog.names("metrics")}
+    for name in weights:
+        if name not in there or not there[name].learned:
+            raise unknown_name("metric that takes score.weights:", name, [n for n, one in there.items() if one.learned])
+    lacking = [name for name, one in there.items() if one.learned and name not in weights]
+    if names and lacking:
+        raise EdreamError(
+            f"Metric {lacking[0]!r} needs score.weights.{lacking[0]}=PATH; docs/dream.md says which weights those are."
+        )
+    return {name: one.ready(weights[name]) if one.learned else one for name, one in there.items() if name not in lacking}
+
+
+def scores(made: Clips, real: Clips, where: Regions, metrics: Mapping[str, Metric]) -> dict[str, dict[str, float | None]]:
     """Every metric over every region, metric -> region -> number; metrics that are not regional have "all" alone."""
     found: dict[str, dict[str, float | None]] = {}
-    for name in names:
-        metric = catalog.load("metrics", name, Metric)
+    for name, metric in metrics.items():
         if name == "flicker":  # moving edges would drown it
             found[name] = {"background": metric.score(made, real, _still(where["background"]))}
         else:

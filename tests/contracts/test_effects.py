@@ -1,5 +1,6 @@
 """Contracts of every effect, run on each entry of the catalog without being told."""
 
+import re
 from functools import cache
 from itertools import product
 from pathlib import Path
@@ -47,6 +48,8 @@ SLED = """
 
 @cache
 def robot(name: str) -> RobotModel:
+    if name == "bare":
+        return RobotModel("bare", re.sub(r' (armature|damping|frictionloss|kv)="[^"]*"', "", (ROBOTS / "pan_tilt.xml").read_text()))
     return RobotModel("sled", SLED) if name == "sled" else load_robot(ROBOTS / f"{name}.xml", site="ee")
 
 
@@ -214,3 +217,26 @@ def test_an_effect_stacks_on_two_places(name: str) -> None:
     )
     shared = SimulatedRobot(robot(where), (*nuisance(where), Placement(effect, first + second))) if name != "coulomb" else both
     assert np.isfinite(play(shared, shared.space.start(), where)).all()
+
+
+JOINT_EFFECTS = [n for n in NAMES if load(n).place == "joint"]
+
+
+@pytest.mark.parametrize("name", JOINT_EFFECTS)
+def test_a_joint_that_slides_has_linear_units(name: str) -> None:
+    effect, turns = load(name), robot("arm6").model
+    sliding = [p.unit for p in Placement(effect, ("push",)).parameters(robot("sled").model)]
+    assert not [unit for unit in sliding if "rad" in unit or "N m" in unit]
+    turning = [p.unit for p in Placement(effect, ("joint1",)).parameters(turns)]
+    assert turning == [p.unit for p in effect.parameters(turns, ("joint1",))]
+
+
+@pytest.mark.parametrize("name", JOINT_EFFECTS)
+def test_an_effect_works_on_a_model_without_armature_damping_or_friction(name: str) -> None:
+    simulated = placed(load(name), ("tilt",), where="bare")
+    start = simulated.space.mapping(simulated.space.start()) | {Placement(load("coulomb"), ("tilt",)).full_name("torque"): 0.05}
+    probes = load(name).probes(robot("bare").model, ("tilt",))
+    sets = [start | {Placement(load(name), ("tilt",)).full_name(q): v for q, v in probe.items()} for probe in probes]
+    motions = play(simulated, np.array([simulated.space.vector(values) for values in [start, *sets]]), "bare")
+    assert np.isfinite(motions).all()
+    assert np.abs(motions[1:] - motions[0]).max() > 1e-6

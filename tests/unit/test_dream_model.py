@@ -13,7 +13,7 @@ from edream.learn.checkpoint import arrays, fill, read_weights, weights_digest
 from edream.learn.training import AVERAGE, Schedule, new_state, part, train
 from edream.vision.clips import clip_of, composed, images
 from edream.vision.dreamer import Dreamer, DreamModel, Part, Render, finished
-from edream.vision.judging import drawn, long_video, real_clips, regions, scores, silhouette_iou
+from edream.vision.judging import drawn, long_video, ready_metrics, real_clips, regions, scores, silhouette_iou
 from edream.vision.variants import DREAM, REGRESSION, WITHOUT, Batches, DreamOptions, new_model, variants
 from tests.dreams import small_scenes
 
@@ -67,7 +67,7 @@ def test_training_beats_plate_and_composite_on_an_episode_it_never_saw(tmp_path:
     real, where = real_clips(scenes, picked, 6), regions(scenes, picked, 6)
     made = drawn(model, scenes, picked, 6, "real", 0, None)
     pasted = np.stack([finished(clip_of(scenes, [(n, f, "real")], 6).composite[0], None, 0) for n, f in picked])
-    ours, theirs = (scores(c, real, where, ("psnr",))["psnr"] for c in (made, pasted))
+    ours, theirs = (scores(c, real, where, ready_metrics(("psnr",), {}))["psnr"] for c in (made, pasted))
     assert ours["not object"] > theirs["not object"] + 3.0
     assert silhouette_iou(real, scenes, picked, where) > 0.8
 
