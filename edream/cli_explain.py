@@ -116,7 +116,7 @@ def _experiment(name: str, found: Mapping[str, Any]) -> str:
     cuda = [part for part in ("dream", "policy") if cfg[part].device == "cuda" and not found["gpu"]]
     reasons = [found["can run"]["rendering"].removeprefix("no: ")] if found["can run"]["rendering"].startswith("no") else []
     reasons += [f"{' and '.join(f'{part}.device' for part in cuda)} ask for a GPU, and there is none"] if cuda else []
-    rest = f"no: {'; '.join(reasons)}" if reasons else "yes"
+    rest = f"no: {'; '.join(reasons)}" if reasons else "yes, given video and a task"
     return f"{robot}{give}: calibrate, diagnose {first}; dream, train-policy {rest}"
 
 
