@@ -8,10 +8,25 @@ export OMP_NUM_THREADS ?= 1
 
 .PHONY: reproduce policy-tiny dream-tiny bench-dream test slow recovery faults bench-calibrate bench-steps check check-lerobot check-mcap blind blind-slice clean
 
-# A make-believe robot is recorded, its recordings ingested, its simulator calibrated; called again, it finds what is there.
+# The whole way on a make-believe robot with an effect hidden in it, at the sizes of conf/experiment/tiny.yaml: an expert's demonstrations and
+# free motions are recorded; calibrated (beside annealing) and diagnosed on the motions; video dreamed and a policy trained on the demonstrations;
+# everything judged in the stand-in reality; one page about it all. Called again, or after a kill, it finds what is there. REPRODUCE adds settings.
+REPRODUCE ?=
+HIDDEN := load_friction
+WHOLE = experiment=tiny seed=1 runs=$(DEMO)/runs $(REPRODUCE)
+MOTIONS = robot=arm6 data=$(DEMO)/motions ingest.fps=50
+DEMOS = robot=arm6_working data=$(DEMO)/demos ingest.fps=25 camera.file=$(DEMO)/demos.cameras.json render.scene=$(DEMO)/demos.scene.json
+TASK = task=grab_paper_cup rollouts.plate=$(DEMO)/demos.plate.png masks.plate=$(DEMO)/demos.plate.png
+CHANGED := "sft twins.changed=0.5"
 reproduce: .venv/ready
-	test -d $(DEMO)/recorded || $(RUN)/edream record robot=arm6 record.out=$(DEMO)/recorded seed=1
-	$(RUN)/edream calibrate robot=arm6 data=$(DEMO)/recorded ingest.fps=50 runs=$(DEMO)/runs run=reproduce
+	test -f $(DEMO)/demos.truth.json || { rm -rf $(DEMO)/demos $(DEMO)/demos.*; $(RUN)/edream record $(WHOLE) task=grab_paper_cup "record.effects=[$(HIDDEN)]" record.out=$(DEMO)/demos; }
+	test -f $(DEMO)/motions.truth.json || { rm -rf $(DEMO)/motions; $(RUN)/edream record $(WHOLE) record.truth=$(DEMO)/demos.truth.json record.out=$(DEMO)/motions; }
+	$(RUN)/edream calibrate $(WHOLE) $(MOTIONS) "fit.compare=[annealing]" run=reproduce-1-calibrate
+	$(RUN)/edream diagnose $(WHOLE) $(MOTIONS) run=reproduce-2-diagnose
+	$(RUN)/edream dream $(WHOLE) $(DEMOS) $(TASK) run=reproduce-3-dream
+	$(RUN)/edream train-policy $(WHOLE) $(DEMOS) $(TASK) 'evaluate.of=[sft,$(CHANGED),rl]' run=reproduce-4-policy
+	$(RUN)/edream train-policy $(WHOLE) $(DEMOS) $(TASK) 'evaluate.of=[sft,$(CHANGED)]' record.cell.paper=horizontal run=reproduce-5-changed
+	$(RUN)/edream report --whole reproduce --truth $(DEMO)/demos.truth.json runs=$(DEMO)/runs
 
 # A make-believe robot is filmed, its simulator calibrated, and renderings are turned into video like its camera's: 12 minutes on 2 cores.
 TINY := runs/dream-tiny

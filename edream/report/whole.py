@@ -20,13 +20,13 @@ COMPARABLE = {
     "fit": "Ratios can be compared, with care: robot, recordings and processor differ. The paper fits an arm of RT-1's data; here "
     "whole motions are judged that were never fitted. Annealing has 400 steps on the same loss, as SimplerEnv's.",
     "diagnose": "The paper names no effects; there is nothing to compare with.",
-    "score": "FVD can be compared only where weights were given for it; otherwise distances are taken in a feature space of our own, "
-    "under their own names. Images differ in size and content. Real object pixels are cut from the very image that is predicted, in "
-    "the paper as here.",
+    "score": "FVD can be compared only where weights were given for it; otherwise distances are taken in a feature space of our "
+    "own, under their own names. Images differ in size and content. Real object pixels are cut from the very image that is "
+    "predicted, in the paper as here.",
     "evaluate": "Not comparable in size: the paper's rates are means of four tasks on a real Mobile ALOHA, ours are one task of a "
     "make-believe robot. What can be compared is whether trials help.",
-    "changed": "The paper's augmentation table was not at hand when this page was written, so none of its numbers stand here; it uses "
-    "the same change of scene.",
+    "changed": "The paper's augmentation table was not at hand when this page was written, so none of its numbers stand here; it "
+    "uses the same change of scene.",
 }
 ABOUT = ("evaluate", "score", "diagnose", "fit")  # what a run is about: the first of these that it made
 
