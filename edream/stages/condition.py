@@ -15,7 +15,7 @@ from edream.core.stage import Artifact, Bundle, Source, Stage, Work
 from edream.ingest.layered import images_of, layer, layered_bundle, layered_episodes, layered_shard
 from edream.ingest.video import decode_image
 from edream.vision.grain import measured_grain
-from edream.vision.objects import Crop, best_crop, corners_of, moved
+from edream.vision.objects import Album, Crop, corners_of
 from edream.vision.plate import brightness
 from edream.vision.scene_file import read_scene
 
@@ -55,12 +55,12 @@ def run(inputs: Mapping[str, Artifact], config: ConditionConfig, work: Work) -> 
         camera = None if native.moves else native.resized(*plate.shape[:2])  # a moved crop needs one view
     names = [episode.name for episode in layered_episodes(inputs["render"])]
     held = held_out(names, config.condition.holdout_fraction, config.seed)
-    crop = _crop(inputs, scene, camera, held)
+    album = _album(inputs, plate, scene, camera, held)
     grain = measured_grain(layers["real"] for episode, layers in _joined(inputs) if episode.name not in held)
 
     def one(item: tuple[Episode, dict[str, np.ndarray]], rng: np.random.Generator) -> Bundle:
         episode, layers = item
-        made = _layers(episode, layers, plate, crop, scene, camera, config.condition.reference)
+        made = _layers(episode, layers, plate, album, scene, camera, config.condition.reference)
         times = episode.videos["robot"].times
         videos = {name: layer(times[: len(images)], images) for name, images in made.items()}
         return layered_shard(
@@ -69,7 +69,7 @@ def run(inputs: Mapping[str, Artifact], config: ConditionConfig, work: Work) -> 
 
     bundle, told = layered_bundle(work.shards("episodes", _joined(inputs), one, parallel=False))
     frames = sum(t["frames"] for t in told)
-    sources = ["real"] + (["crop"] if crop is not None else []) + (["sim"] if scene.tracks else [])
+    sources = ["real"] + (["crop"] if album is not None else []) + (["sim"] if scene.tracks else [])
     summary = {
         "sentence": f"{frames} images of {len(told)} episodes, objects from {', '.join(sources)}.",
         "frames": frames,
@@ -109,24 +109,29 @@ def _poses(scene: Scene, episode: Episode, time: float, camera: Camera | None) -
     return corners_of(scene.objects[0], poses[scene.objects[0].name], camera)
 
 
-def _crop(inputs: Mapping[str, Artifact], scene: Scene, camera: Camera | None, held: Collection[str]) -> Crop | None:
-    """The reference crop, from the episodes that are not held out."""
-    images, masks, corners = [], [], []
+def _album(
+    inputs: Mapping[str, Artifact], plate: np.ndarray, scene: Scene, camera: Camera | None, held: Collection[str]
+) -> Album | None:
+    """Crops of the object in the plate's light, from the episodes that are not held out."""
+    found = []
     for episode, layers in _joined(inputs):
         if episode.name in held:
             continue
-        for row in range(0, len(layers["real"]), 10):
-            images.append(layers["real"][row])
-            masks.append((layers["found"][row] > 127).astype(np.uint8))
-            corners.append(_poses(scene, episode, float(episode.videos["robot"].times[row]), camera))
-    return best_crop(images, masks, corners)
+        rows = range(0, len(layers["real"]), 5)
+        real = layers["real"][rows].astype(np.float32)
+        lit = real * brightness(real, plate.astype(np.float32))[:, None, None]
+        for row, image in zip(rows, np.clip(np.round(lit), 0, 255).astype(np.uint8), strict=True):
+            mask = (layers["found"][row] > 127).astype(np.uint8)
+            corners = _poses(scene, episode, float(episode.videos["robot"].times[row]), camera)
+            found.append(Crop(image, mask, corners, episode.name))
+    return Album.of(found)
 
 
 def _layers(
     episode: Episode,
     layers: dict[str, np.ndarray],
     plate: np.ndarray,
-    crop: Crop | None,
+    album: Album | None,
     scene: Scene,
     camera: Camera | None,
     reference: str,
@@ -136,11 +141,14 @@ def _layers(
     reference (one image)."""
     real, found = layers["real"], layers["found"]
     robot, alone, both = layers["robot"], layers["masks"][..., 0], layers["masks"][..., 2]
+    light = 1.0 / brightness(real[:1].astype(np.float32), plate.astype(np.float32))[0]
     crops, shares = np.zeros_like(real), np.zeros_like(found)
-    if crop is not None:
+    if album is not None:
         for i, time in enumerate(episode.videos["robot"].times):
             corners = _poses(scene, episode, float(time), camera)
-            crops[i], shares[i] = moved(crop, corners, (found[i] > 127).astype(np.uint8) if corners is None else None)
+            mask = (found[i] > 127).astype(np.uint8) if corners is None else None
+            colour, shares[i] = album.seen(corners, mask, episode.name)
+            crops[i] = np.clip(np.round(colour * (1.0 if reference == "plate" else light)), 0, 255).astype(np.uint8)
             hidden = both[i] > 127 if corners is not None else alone[i] > 127
             shares[i][hidden] = 0
     share = (alone[..., None] / 255.0) * (found[..., None] == 0)
@@ -148,8 +156,7 @@ def _layers(
     if reference == "first":
         plate = real[0]
     elif reference == "episode":
-        gain = 1.0 / brightness(real[:1].astype(np.float32), plate.astype(np.float32))[0]
-        plate = np.clip(np.round(plate * gain), 0, 255).astype(np.uint8)
+        plate = np.clip(np.round(plate * light), 0, 255).astype(np.uint8)
     return {
         "real": real,
         "condition": condition,
@@ -171,4 +178,4 @@ def sources(config: ConditionConfig) -> Mapping[str, Source]:
     return {"scene": config.render.scene} if config.render.scene else {}
 
 
-ENTRY = Stage("condition", 1, needs, ConditionConfig, run, sources, ("numpy", "opencv-python-headless"))
+ENTRY = Stage("condition", 2, needs, ConditionConfig, run, sources, ("numpy", "opencv-python-headless"))

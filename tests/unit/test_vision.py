@@ -11,7 +11,7 @@ from edream.core.scene import ObjectTrack, Scene, SceneObject, scene_from_json, 
 from edream.vision.clips import Jitter, clip_of, images, starts
 from edream.vision.frames import chosen_camera, frames_at, rows_at
 from edream.vision.grain import Grain, measured_grain
-from edream.vision.objects import Crop, corners_of, moved
+from edream.vision.objects import Album, Crop, corners_of, moved
 from edream.vision.plate import plate_of
 from tests.dreams import small_scenes
 
@@ -73,6 +73,61 @@ def test_a_crop_without_poses_takes_the_place_of_the_mask_but_not_its_pixels() -
     made, share = moved(Crop(colour, then, None), None, now)
     assert ((share > 127) == (now > 0)).mean() > 0.99 and (made[now > 0] == 200).all()
     assert not moved(Crop(colour, then, None), None, np.zeros_like(now))[1].any()
+
+
+def drawn_box(camera, pose: np.ndarray, colours: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A box whose faces have colours of their own, as the camera sees it: image, mask, corners."""
+    import cv2
+
+    corners = corners_of(SceneObject("box", "box", (0.06, 0.06, 0.06), (1.0, 0.0, 0.0)), pose, camera)
+    faces = [(0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (1, 3, 7, 5)]
+    image, mask = np.full((96, 96, 3), 90, np.uint8), np.zeros((96, 96), np.uint8)
+    space = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * 0.06
+    angle = 2 * np.arctan2(pose[6], pose[3])
+    turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+    away = [np.linalg.norm(turn @ space[list(f)].mean(axis=0) + pose[:3] - camera.pose[:3, 3]) for f in faces]
+    for number in np.argsort(away)[::-1]:  # far faces first
+        points = np.round(corners[list(faces[number])]).astype(np.int32)
+        cv2.fillConvexPoly(image, points, colours[number].tolist())
+        cv2.fillConvexPoly(mask, points, 1)
+    return image, mask, corners
+
+
+def test_of_many_crops_the_one_that_shows_the_same_faces_is_taken_and_none_of_the_episode_itself() -> None:
+    camera = pinhole(96, 96, 0.6, looking_at(np.array([1.0, -0.6, 0.8]), np.zeros(3)))
+    colours = np.array([[230, 40, 40], [40, 230, 40], [40, 40, 230], [230, 230, 40], [230, 40, 230]], np.uint8)
+
+    def turned(angle: float, x: float = 0.0) -> np.ndarray:
+        return np.array([x, 0.0, 0.0, np.cos(angle / 2), 0.0, 0.0, np.sin(angle / 2)])
+
+    crops = [Crop(*drawn_box(camera, turned(a), colours), f"episode_{i}") for i, a in enumerate(np.linspace(-3, 3, 25))]
+    wrong = Crop(np.zeros((96, 96, 3), np.uint8), crops[0].mask, corners_of_turned(camera, turned(1.0, 0.05)), "itself")
+    album = Album.of([*crops, wrong])
+    assert album is not None
+    image, mask, corners = drawn_box(camera, turned(1.0, 0.05), colours)
+    colour, share = album.seen(corners, None, "itself")
+    inside = (mask > 0) & (share > 127)
+    assert inside.sum() / (mask > 0).sum() > 0.85
+    assert np.abs(colour[inside].astype(int) - image[inside]).mean() < 25.0
+    single, alone = moved(crops[0], corners, None)
+    there = (mask > 0) & (alone > 127)
+    assert np.abs(single[there].astype(int) - image[there]).mean() > 50.0, "one crop shows the wrong faces"
+    assert not album.seen(corners, None)[0][inside].any(), "were its own episode asked, it would copy"
+
+
+def corners_of_turned(camera, pose: np.ndarray) -> np.ndarray:
+    return corners_of(SceneObject("box", "box", (0.06, 0.06, 0.06), (1.0, 0.0, 0.0)), pose, camera)
+
+
+def test_crops_that_are_half_hidden_or_touch_the_edge_are_left_out() -> None:
+    camera = pinhole(96, 96, 0.6, looking_at(np.array([1.0, -0.6, 0.8]), np.zeros(3)))
+    image, mask, corners = drawn_box(camera, np.array([0.0, 0, 0, 1, 0, 0, 0]), np.full((5, 3), 200, np.uint8))
+    hidden, edge = mask.copy(), mask.copy()
+    hidden[:, : int(corners[:, 0].mean()) + 4] = 0
+    edge[0, 0] = 1
+    album = Album.of([Crop(image, m, corners) for m in (hidden, mask, edge)])
+    assert album is not None and len(album.crops) == 1 and album.crops[0].mask is mask
+    assert Album.of([Crop(image, np.zeros_like(mask), corners)]) is None
 
 
 def test_scenes_of_objects_survive_a_file_and_bad_ones_are_refused() -> None:
