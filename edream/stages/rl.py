@@ -19,6 +19,7 @@ from edream.practice.about import ABOUT, WEIGHTS, PolicyAbout
 from edream.practice.collecting import Manner, Player, collected, outcomes_of
 from edream.practice.demonstrations import ChunkBatches
 from edream.practice.dreaming import eyes_of
+from edream.practice.imitating import Successes
 from edream.practice.learning import Lessons, Played, RlOptions, reference_of, shall_stop
 from edream.practice.options import PolicyOptions, SftOptions, device_of
 from edream.practice.ranking import require_pairs
@@ -78,7 +79,8 @@ def run(inputs: Mapping[str, Artifact], config: RlConfig, work: Work) -> Bundle:
         lessons = Lessons(
             config.policy.rl, options, played, reference, ranking["ranks.parquet"], ranking["pairs.parquet"], config.seed
         )
-        pieces = _trained(about, lessons, _demonstrations(inputs, about, config, work), rolled, config, work)
+        successes = Successes.of(played, ranking["ranks.parquet"], about, config.sft.batch, config.seed, options.shake)
+        pieces = _trained(about, lessons, (_demonstrations(inputs, about, config, work), successes), rolled, config, work)
     tried = _tried(pieces, rolled, about, inputs, config, work)
     best = max(range(len(tried)), key=lambda i: (tried[i]["success"], -tried[i]["distance_m"], -i))
     weights = rolled[WEIGHTS] if best == 0 else pieces[best - 1][WEIGHTS]
@@ -115,18 +117,27 @@ def run(inputs: Mapping[str, Artifact], config: RlConfig, work: Work) -> Bundle:
 
 
 def _trained(
-    about: PolicyAbout, lessons: Lessons, batches: ChunkBatches, rolled: Artifact, config: RlConfig, work: Work
+    about: PolicyAbout,
+    lessons: Lessons,
+    shown: tuple[ChunkBatches, Successes],
+    rolled: Artifact,
+    config: RlConfig,
+    work: Work,
 ) -> Sequence[Artifact]:
     """Every piece of the round until the stopping rule holds, each from where the last one ended."""
     options, device = config.rl, device_of(config.policy.device)
     network = about.network(_tensors(rolled[WEIGHTS])).to(device)
+    demonstrated, done = shown
+    imitated = [(options.demonstrations, demonstrated)] if options.demonstrations else []
+    if options.successes and done.groups:
+        imitated.append((options.successes, done))
 
     def loss_of(step: int) -> torch.Tensor:
         torch.manual_seed(config.seed * 1_000_003 + step)  # of dropout
         value = lessons.loss(network, about, step, device)
-        if options.demonstrations:
+        for weight, batches in imitated:
             seen, actions, valid, chance = batches.at(step)
-            value = value + options.demonstrations * network.loss(seen.to(device), actions.to(device), valid.to(device), chance)
+            value = value + weight * network.loss(seen.to(device), actions.to(device), valid.to(device), chance)
         return value
 
     pieces: list[Artifact] = []
@@ -138,7 +149,7 @@ def _trained(
             lessons.told.clear()
             with torch.random.fork_rng(devices=[]):
                 state, _ = train(network, loss_of, begun, first, last, options.train)
-            told = {"step": last, "steps": list(lessons.told), "stop": shall_stop(lessons.told, lessons.entry.pairs)}
+            told = {"step": last, "steps": list(lessons.told), "stop": shall_stop(lessons.told, lessons.entry.pairs, options.slack)}
             kept = {name: value.numpy() for name, value in part(state, AVERAGE).items()}
             return {"state.safetensors": state, WEIGHTS: kept, "told.json": told}
 
