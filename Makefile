@@ -25,7 +25,7 @@ reproduce: .venv/ready
 	$(RUN)/edream diagnose $(WHOLE) $(MOTIONS) run=reproduce-2-diagnose
 	$(RUN)/edream dream $(WHOLE) $(DEMOS) $(TASK) run=reproduce-3-dream
 	$(RUN)/edream train-policy $(WHOLE) $(DEMOS) $(TASK) 'evaluate.of=[sft,$(CHANGED),rl]' run=reproduce-4-policy
-	$(RUN)/edream train-policy $(WHOLE) $(DEMOS) $(TASK) 'evaluate.of=[sft,$(CHANGED)]' record.cell.paper=horizontal run=reproduce-5-changed
+	$(RUN)/edream train-policy $(WHOLE) $(DEMOS) $(TASK) 'evaluate.of=[sft,$(CHANGED)]' evaluate.paper=horizontal run=reproduce-5-changed
 	$(RUN)/edream report --whole reproduce --truth $(DEMO)/demos.truth.json runs=$(DEMO)/runs
 
 # A make-believe robot is filmed, its simulator calibrated, and renderings are turned into video like its camera's: 12 minutes on 2 cores.

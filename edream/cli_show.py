@@ -14,6 +14,7 @@ SUMMARY = "summary.json"
 MOST = 40
 WIDE = 160  # columns where nobody says how many there are
 FIRST = ("name", "model", "value", "unit", "interval", "status")  # columns that a reader looks for, in this order
+RATE = {"successes", "trials", "share", "interval"}  # how often something succeeded, with Wilson's interval
 BOX = {"low", "high", "start"}  # what --json adds to a parameter
 
 
@@ -107,6 +108,9 @@ def _cell(value: Any) -> str:
         return f"{value:.5g}"
     if isinstance(value, list | tuple):
         return ", ".join(_cell(item) for item in value)
+    if isinstance(value, Mapping) and value.keys() == RATE:
+        low, high = (100 * side for side in value["interval"])
+        return f"{100 * value['share']:.1f} % [{low:.1f}, {high:.1f}], {value['successes']} of {value['trials']}"
     if isinstance(value, Mapping):
         return ", ".join(f"{name} {_cell(item)}" for name, item in value.items())
     return "-" if value is None else re.sub(r"\[([^\]+]+)(\+[^\]]+){2,}\]", _shortened, str(value))

@@ -1,7 +1,7 @@
 """`edream record`: the make-believe real robot leaves a data set as a user would bring it, and the truth sealed beside it."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -138,7 +138,7 @@ def hidden_robot(robot: RobotModel, config: RecordConfig, seed: int, task: bool 
         truth = unseal(config.truth)
         if truth.robot != robot.name:
             raise EdreamError(f"{config.truth} is the truth of robot {truth.robot!r}, not {robot.name!r}.")
-        return truth
+        return replace(truth, cameras={})  # other cameras may look on this time
     named = config.effects if config.effects is not None else ("drawn",) if task else ()
     effects = tuple(one for name in named for one in (drawn_effects(seed) if name == "drawn" else (name,)))
     rng = np.random.default_rng(np.random.SeedSequence(seed).spawn(2)[0])

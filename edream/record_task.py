@@ -3,7 +3,7 @@
 import json
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -66,10 +66,11 @@ def record_task(robot: RobotModel, task_name: str, config: RecordConfig, seed: i
         form.write([take.recording for take in takes], out)
         names = recorded_names(form, out, [take.recording for take in takes], config.control)
         left = _leave(_world(robot, truth, task, config), takes, names, out) if look else {}
+    seen = replace(truth, cameras=asdict(look) if look else {})
     return {
         "data": str(out),
         "truth": str(sealed),
-        "digest": seal(truth, sealed),
+        "digest": seal(seen, sealed),
         "task": task_name,
         "format": config.format,
         "recordings": len(takes),

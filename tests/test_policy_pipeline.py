@@ -72,8 +72,6 @@ def words(recorded: Path, runs: Path, *more: str) -> list[str]:
         "ingest.fps=25",
         "seed=1",
         "report.of=evaluate",
-        "record.cell.height=32",
-        "record.cell.width=32",
         f"camera.file={recorded}.cameras.json",
         f"render.scene={recorded}.scene.json",
         f"rollouts.plate={recorded}.plate.png",

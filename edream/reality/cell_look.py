@@ -1,7 +1,8 @@
 """How the workcell looks in reality: its own textures, a lamp with shadows, cameras a little elsewhere, blur and noise."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import cv2
 import mujoco
@@ -41,6 +42,11 @@ class CellLook:
     blur: float = 0.006
     shift: float = 0.012
     paper: Literal["none", "horizontal", "vertical"] = "none"
+
+    @classmethod
+    def of(cls, told: Mapping[str, Any]) -> "CellLook":
+        """The cameras that a sealed truth tells of; the usual ones where it tells of none."""
+        return cls(**{**told, "cameras": tuple(told["cameras"])}) if told else cls()
 
 
 def placed_cameras(bench: Bench, look: CellLook, seed: int) -> dict[str, Camera]:

@@ -7,7 +7,7 @@ import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import mujoco
 import numpy as np
@@ -51,6 +51,7 @@ class Truth:
         nuisance: true kp, kd, damping, frictionloss and armature by joint; those not named are nominal.
         sees: whether encoder and servo sit on the link or the motor side of a shaft that gives.
         cell: what is true of its workcell: factors on the `mass` and `grip` (contact friction) of things, the seed of its `look`.
+        cameras: what the cameras that recorded it are like, as `CellLook` has it; empty where none did.
     """
 
     robot: str
@@ -58,6 +59,7 @@ class Truth:
     nuisance: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     sees: Literal["link", "motor"] = "link"
     cell: Mapping[str, float] = field(default_factory=dict)
+    cameras: Mapping[str, Any] = field(default_factory=dict)
 
     def plant(self, model: mujoco.MjModel) -> Plant:
         """The robot with its true nuisance parameters and none of its hidden effects."""
@@ -181,7 +183,7 @@ def unseal(path: Path) -> Truth:
         raise EdreamError(f"The sealed truth {path} was altered: its digest does not match its content.")
     fields = json.loads(plain)
     hidden = tuple(Hidden(h["name"], tuple(h["targets"]), h["values"]) for h in fields["effects"])
-    return Truth(fields["robot"], hidden, fields["nuisance"], fields["sees"], fields.get("cell", {}))
+    return Truth(fields["robot"], hidden, fields["nuisance"], fields["sees"], fields.get("cell", {}), fields.get("cameras", {}))
 
 
 def _gravity_scale(plant: Plant, model: mujoco.MjModel) -> np.ndarray:

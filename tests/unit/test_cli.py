@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from edream import cli
+from edream import cli, cli_show
 
 PROGRAM = [sys.executable, "-c", "import sys; sys.argv[0] = 'edream'; from edream.cli import main; main()"]
 
@@ -89,3 +89,9 @@ def test_explain_prints_the_docstring_of_an_entry() -> None:
     said = json.loads(edream("explain", "ingest", "--json").stdout)
     assert said["entries"][0]["catalog"] == "stages"
     assert "MCAP" in said["entries"][0]["text"]
+
+
+def test_a_rate_in_a_table_reads_as_a_person_says_it(capsys: pytest.CaptureFixture[str]) -> None:
+    rate = {"successes": 138, "trials": 200, "share": 0.69, "interval": (0.6228, 0.7499)}
+    cli_show.table({"sentence": "Done.", "rates": [{"name": "SFT, 1 view", "success": rate, "grasp": None}]})
+    assert "69.0 % [62.3, 75.0], 138 of 200" in capsys.readouterr().out

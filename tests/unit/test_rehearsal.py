@@ -4,6 +4,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import pyarrow as pa
 import pytest
 
 from edream import config, kinds
@@ -19,6 +20,7 @@ from edream.practice.trial import Chance
 from edream.practice.twins import eye_of
 from edream.practice.worlds import CompositeEyes, RawEyes, Workcell, open_workcell, over
 from edream.sim.robot import RobotModel
+from edream.stages.evaluate import worth_seeing
 from edream.vision.dreamer import DreamModel
 from edream.vision.trained import file_of
 from edream.vision.variants import DREAM, DreamOptions, Part
@@ -129,3 +131,11 @@ def test_a_changed_scene_has_a_patch_in_the_bench_s_own_light_or_another_photo(t
     thing[:4] = 255
     assert np.array_equal(tinted(plate, thing, np.array([0.5, 1.0, 1.0]))[4:], plate[4:])
     assert (tinted(plate, thing, np.array([0.5, 1.0, 1.0]))[:4, :, 0] < plate[:4, :, 0]).all()
+
+
+def test_films_show_failures_and_successes_in_turn() -> None:
+    rows = [{"start": start, "success": start not in (3, 5)} for start in range(8)]
+    table = pa.Table.from_pylist(rows)
+    assert worth_seeing(table, 4) == [0, 1, 3, 5]
+    assert worth_seeing(table, 6) == [0, 1, 2, 3, 4, 5]
+    assert worth_seeing(table, 0) == []

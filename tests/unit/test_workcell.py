@@ -29,8 +29,11 @@ def moves(world: SimulatedWorkcell | RealWorkcell, count: int = 8) -> np.ndarray
 
 
 def seen_in(world: SimulatedWorkcell | RealWorkcell, start: int, noise: StartNoise | None = None) -> list[np.ndarray]:
-    shown = [world.reset(start, noise)] + [world.step(action) for action in moves(world)]
-    return [part for one in shown for part in (one.joints, *(one.images[name] for name in sorted(one.images)))]
+    shown, parts = world.reset(start, noise), []
+    for action in moves(world):
+        parts += [shown.joints, *(shown.images[name] for name in sorted(shown.images))]
+        shown = world.step(action)
+    return [*parts, shown.joints, *(shown.images[name] for name in sorted(shown.images))]
 
 
 def test_a_simulated_world_repeats_itself_bit_for_bit(rendering: None) -> None:
@@ -47,6 +50,18 @@ def test_reality_repeats_itself_bit_for_bit(rendering: None) -> None:
     one = seen_in(world, 5)
     seen_in(world, 6)
     assert all(np.array_equal(a, b) for a, b in zip(one, seen_in(world, 5), strict=True))
+
+
+def test_reality_shows_the_same_whether_or_not_one_looked_before_and_nothing_of_what_is_over(rendering: None) -> None:
+    world = RealWorkcell(robot(), hidden(), task(), look=CellLook(("cam_high",), 32, 32))
+    last = seen_in(world, 5)[-1]
+    begun = world.reset(5)
+    for action in moves(world):
+        shown = world.step(action)
+    assert list(begun.images) == ["cam_high"]
+    assert np.array_equal(shown.images["cam_high"], last)
+    with pytest.raises(EdreamError, match="look before the next step"):
+        _ = begun.images["cam_high"]
 
 
 def test_noise_makes_trials_of_one_start_differ_and_repeats_with_its_seed() -> None:
