@@ -101,7 +101,7 @@ def run(inputs: Mapping[str, Artifact], config: RlConfig, work: Work) -> Bundle:
     }
     summary = {
         "sentence": f"Round {round_} of {config.policy.rl}: success on held-out starts in the simulator from "
-        f"{100 * tried[0]['success']:.0f} % to {100 * tried[best]['success']:.0f} % success.",
+        f"{100 * tried[0]['success']:.0f} % to {100 * tried[best]['success']:.0f} %.",
         **row,
         "weights_digest": weights_digest(weights),
     }
@@ -128,7 +128,9 @@ def _trained(
     options, device = config.rl, device_of(config.policy.device)
     network = about.network(_tensors(rolled[WEIGHTS])).to(device)
     demonstrated, done = shown
-    imitated = [(options.demonstrations, demonstrated)] if options.demonstrations else []
+    imitated: list[tuple[float, ChunkBatches | Successes]] = []
+    if options.demonstrations:
+        imitated.append((options.demonstrations, demonstrated))
     if options.successes and done.groups:
         imitated.append((options.successes, done))
 
