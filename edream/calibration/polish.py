@@ -4,15 +4,19 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
+from scipy.optimize import lsq_linear
 
-from edream.sim.least_squares import Solution, jacobian, solve, worth
-from edream.sim.objective import Objective
+from edream.core.parameters import ParameterSpace
+from edream.sim.least_squares import Solution, jacobian_both_ways, solve, worth
+from edream.sim.objective import Objective, rms
 from edream.sim.rollout import Window
 
 SETTLED = 0.8  # a noise that falls less than this any more does not change the weight of the priors
 PASSES = 3
 NEAR_SECONDS, NEAR_WINDOWS = 2.5, 12  # what is enough to come near
+LENGTHS = (1.0, 0.5, 0.25, 0.1, 0.03)  # of a Gauss-Newton step, tried together
+LITTLE = 0.1  # of a squared standard deviation: a gain that no interval would notice
 WORTHWHILE = 0.34  # of the motion; with more in the near windows, the search begins on all
 
 
@@ -68,16 +72,63 @@ def polish_in_stages(
 
 
 def finish(objective: Any, values: Float[np.ndarray, "P"], iterations: int) -> Solution:
-    """The exact Jacobian at a solution, and the steps that it still asks for: one where cheap Jacobians led to the right place.
+    """The steps that an end still asks for, and the exact Jacobian there.
+
+    Dry friction makes the loss rough: where one joint's step meets a kink, a step of all joints at once is refused for it. So each
+    group of parameters that acts on joints of its own takes the length that suits those joints.
 
     Args:
         values: where the search ended.
         iterations: most Gauss-Newton steps.
     """
-    residual = objective.residuals(values)[0]
     space = objective.simulated.space
-    slope = jacobian(objective, space, space.to_unit(values), residual)
-    return solve(objective, values, worth(objective, residual), iterations, tolerance=1e-3, secant=True, slope=slope)
+    unit, residual = space.to_unit(values), objective.residuals(values)[0]
+    first, scale, settled = rms(residual), worth(objective, residual), not iterations
+    for _ in range(iterations):
+        slope = jacobian_both_ways(objective, space, unit, apart=True)
+        moved, left = _step_by_blocks(objective, unit, residual, slope, scale)
+        settled = _cost(space, unit, residual, scale) - _cost(space, moved, left, scale) < LITTLE
+        unit, residual = moved, left
+        if settled:
+            break
+    slope = jacobian_both_ways(objective, space, unit)
+    return Solution(space, space.from_unit(unit), residual, slope, settled, first, rms(residual))
+
+
+def _cost(space: ParameterSpace, unit: np.ndarray, residual: np.ndarray, scale: float) -> float:
+    centre, spread = space.unit_prior()
+    return float(residual @ residual) / scale**2 + float((((unit - centre) / spread) ** 2).sum())
+
+
+def _step_by_blocks(
+    objective: Any, unit: np.ndarray, residual: np.ndarray, slope: np.ndarray, scale: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """The best of the steps tried, in the unit box, and the residual there; where none is better, the start."""
+    space, acts = objective.simulated.space, objective.acts_on
+    centre, spread = space.unit_prior()
+    rows = np.concatenate([slope / scale, np.diag(1.0 / spread)])
+    wanted = -np.concatenate([residual / scale, (unit - centre) / spread])
+    move = lsq_linear(rows, wanted, bounds=(-unit - 1e-12, 1.0 - unit + 1e-12)).x
+    units = np.clip(unit + np.outer((0.0, *LENGTHS), move), 0.0, 1.0)
+    left = np.vstack([residual, objective.residuals(space.from_unit(units[1:]))])
+    by_joint = (left.reshape(len(left), -1, acts.shape[1]) ** 2).sum(axis=1) / scale**2  # (length, joint)
+    apart = ((units - centre) / spread) ** 2
+    mixed = unit.copy()
+    for own in blocks(acts):
+        mixed[own] = units[(by_joint[:, acts[own].any(axis=0)].sum(axis=1) + apart[:, own].sum(axis=1)).argmin()][own]
+    units, left = np.vstack([units, mixed]), np.vstack([left, objective.residuals(space.from_unit(mixed))])
+    best = int(np.argmin([_cost(space, u, r, scale) for u, r in zip(units, left, strict=True)]))
+    return units[best], left[best]
+
+
+def blocks(acts: Bool[np.ndarray, "P J"]) -> list[list[int]]:
+    """Parameters in groups that act on joints of their own."""
+    found: list[tuple[list[int], np.ndarray]] = []
+    for number, joints in enumerate(acts):
+        touching = [block for block in found if (block[1] & joints).any()]
+        merged = ([*(n for block in touching for n in block[0]), number], np.any([joints, *(b[1] for b in touching)], axis=0))
+        found = [block for block in found if not (block[1] & joints).any()] + [merged]
+    return [sorted(numbers) for numbers, _ in found]
 
 
 def short_pieces(windows: Any) -> list[Window]:

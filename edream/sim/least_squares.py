@@ -14,6 +14,8 @@ NEVER = 10**6
 COARSE = 3e-3  # relative step that ends a search with a cheap Jacobian, whose smaller steps lead nowhere
 STEP = 2e-3  # of the unit box: large enough to cross the kinks of dry friction, small enough to be a derivative
 
+WIDE = 6e-3  # of the unit box, to either side: for intervals
+
 
 @dataclass(frozen=True, eq=False)
 class Solution:
@@ -44,6 +46,27 @@ def jacobian(
     steps = np.where(unit + STEP <= 1.0, STEP, -STEP)
     moved = objective.residuals(space.from_unit(unit + np.diag(steps)))
     return ((moved - base) / steps[:, None]).T
+
+
+def jacobian_both_ways(
+    objective: Objective, space: ParameterSpace, unit: Float[np.ndarray, "P"], apart: bool = False
+) -> Float[np.ndarray, "R P"]:
+    """Central differences over wider steps in the unit box, where kinks count less; at a bound, towards the inside.
+
+    Args:
+        apart: as if a parameter moved only the joints it acts on, so that parameters of different joints share a simulation.
+    """
+    acts = objective.acts_on
+    high, low = np.minimum(unit + WIDE, 1.0), np.maximum(unit - WIDE, 0.0)
+    groups = sharing(acts) if apart else [[number] for number in range(len(unit))]
+    picked = np.array([np.isin(np.arange(len(unit)), group) for group in groups])
+    moved = objective.residuals(space.from_unit(np.vstack([np.where(picked, high, unit), np.where(picked, low, unit)])))
+    slope = np.zeros((moved.shape[1], len(unit)))
+    for difference, group in zip(moved[: len(groups)] - moved[len(groups) :], groups, strict=True):
+        for p in group:
+            rows = difference.reshape(-1, acts.shape[1])
+            slope[:, p] = (np.where(acts[p], rows, 0.0) if apart else rows).ravel() / (high - low)[p]
+    return slope
 
 
 def nearly(

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from edream.calibration.polish import blocks, finish
 from edream.sim.least_squares import jacobian, nearly, sharing, solve
 from edream.sim.objective import Objective, rms
 from edream.sim.rollout import whole
@@ -44,3 +45,31 @@ def test_where_nothing_can_share_a_simulation_cheap_changes_nothing() -> None:
         each.acts_on = np.ones((24, 6), bool)  # what a loss on the end effector's pose says
     first, second = solve(one, secant=True, iterations=3), solve(two, secant=True, cheap=True, iterations=3)
     np.testing.assert_array_equal(first.values, second.values)
+
+
+def test_parameters_that_share_a_joint_are_one_block() -> None:
+    assert blocks(objective().acts_on) == [[joint, 6 + joint, 12 + joint, 18 + joint] for joint in range(6)]
+    tied = np.array([[True, False, False], [False, True, True], [False, False, True], [True, True, False]])
+    assert blocks(tied) == [[0, 1, 2, 3]] and blocks(tied[[0, 2]]) == [[0], [1]]
+
+
+def test_one_joint_that_cannot_step_does_not_hold_up_the_others() -> None:
+    one = objective()
+    space = one.simulated.space
+    end = solve(one, secant=True).values
+    last, others = 17, np.arange(24) % 6 != 5  # the last joint's friction, which sits at a kink; the parameters of the other joints
+    start = space.to_unit(end)
+    start[others] = np.clip(start[others] + 0.02, 0.0, 1.0)
+    rough = one.residuals
+
+    def residuals(values: np.ndarray) -> np.ndarray:
+        """As if every move of the last joint made it much worse."""
+        left, moved = rough(values), np.abs(space.to_unit(np.atleast_2d(values))[:, last] - start[last])
+        rows = left.reshape(len(left), -1, 6)
+        rows[:, :, 5] += 10.0 * np.sqrt(moved)[:, None]
+        return rows.reshape(left.shape)
+
+    one.residuals = residuals  # type: ignore[method-assign]
+    found = finish(one, space.from_unit(start), 8)
+    assert found.rms < 1.1 * rms(rough(end))
+    assert abs(space.to_unit(found.values)[last] - start[last]) < 1e-6
