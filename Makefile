@@ -6,7 +6,7 @@ NODE := .venv-node
 DEMO := runs/reproduce
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: reproduce policy-tiny dream-tiny bench-dream test slow recovery faults bench-calibrate bench-steps check check-lerobot check-mcap blind blind-slice clean
+.PHONY: reproduce policy-tiny policy-table policy-physics dream-tiny bench-dream test slow recovery faults fuzz docs bench-scale bench-calibrate bench-steps check check-lerobot check-mcap blind blind-slice clean
 
 # The whole way on a make-believe robot with an effect hidden in it, at the sizes of conf/experiment/tiny.yaml: an expert's demonstrations and
 # free motions are recorded; calibrated (beside annealing) and diagnosed on the motions; video dreamed and a policy trained on the demonstrations;
@@ -47,6 +47,35 @@ policy-tiny: .venv/ready
 	  seed=1 rollouts.eyes=composite sft.twins=true camera.file=$(POLICY)/recorded.cameras.json \
 	  rollouts.plate=$(POLICY)/recorded.plate.png render.scene=$(POLICY)/recorded.scene.json
 
+# The paper's table at the tiny size: four tasks, SFT with three views, SFT with one, RL with one; then the ablation: physics as published,
+# calibrated, and calibrated with the effects that diagnosis found, on a robot that hides three. Hours on 2 cores, but it can be stopped at any
+# time: called again, it goes on. One task or less: make policy-table TASKS=put_cup_on_mat ROWS='["sft","rl"]'.
+TABLE := runs/policy-table
+TASKS ?= grab_paper_cup put_pen_in_cup put_remote_in_box put_cup_on_mat
+ROWS ?= ["sft policy.cameras=[cam_high,cam_side,wrist] sft.twins=false","sft","rl"]
+PHYSICS ?= ["sft","rl rollouts.model=published","rl","rl rollouts.model=diagnose"]
+LEARN = $(RUN)/edream train-policy robot=arm6_working ingest.fps=25 seed=1 runs=$(TABLE)/runs rollouts.eyes=composite sft.twins=true 'policy.cameras=[cam_high]'
+define demonstrated  # task, folder, further settings
+	test -f $(2).truth.json || { rm -rf $(2) $(2).*; $(RUN)/edream record robot=arm6 task=$(1) record.episodes=50 record.out=$(2) seed=1 $(3); }
+endef
+VIEWS := 'record.cell.cameras=[cam_high,cam_side,wrist]'
+HIDES := 'record.effects=[encoder_offset,load_friction,actuator_delay]'
+SOUGHT := 'diagnose.effects=[payload,load_friction,stribeck,constant_torque,encoder_offset,actuator_delay]' diagnose.most=3
+BESIDE = data=$(1) camera.file=$(1).cameras.json rollouts.plate=$(1).plate.png render.scene=$(1).scene.json
+policy-table: $(TASKS:%=policy-table-%)
+	$(RUN)/edream report --whole policy-table runs=$(TABLE)/runs
+
+policy-table-%: .venv/ready
+	$(call demonstrated,$*,$(TABLE)/$*,$(VIEWS))
+	$(LEARN) task=$* $(call BESIDE,$(TABLE)/$*) 'evaluate.of=$(ROWS)' run=policy-table-$*
+
+policy-physics: $(TASKS:%=policy-physics-%)
+	$(RUN)/edream report --whole policy-physics runs=$(TABLE)/runs
+
+policy-physics-%: .venv/ready
+	$(call demonstrated,$*,$(TABLE)/$*-hiding,$(HIDES))
+	$(LEARN) task=$* $(call BESIDE,$(TABLE)/$*-hiding) $(SOUGHT) 'evaluate.of=$(PHYSICS)' run=policy-physics-$*
+
 bench-dream: .venv/ready
 	$(RUN)/python -m benchmarks.bench_dream
 
@@ -60,9 +89,25 @@ slow: .venv/ready
 recovery: .venv/ready
 	$(RUN)/python -m pytest -q -s -m "slow or not slow" tests/recovery
 
-# Kills at random moments, two processes at once, flipped bits, a full disk: on small stages and on the real ones.
+# Kills at random moments and at every point of every write, processes at once, flipped bits, full and read-only disks, a clock that jumps: on small
+# stages and on the real ones. FAULT_KILLS says how many at random moments.
+FAULT_KILLS ?= 300
 faults: .venv/ready
-	$(RUN)/python -m pytest -q -s -m "slow or not slow" tests/faults
+	EDREAM_FAULT_KILLS=$(FAULT_KILLS) $(RUN)/python -m pytest -q -s -m "slow or not slow" tests/faults
+
+# Recordings of every format, broken in every way, for FUZZ_MINUTES each; FUZZ adds words such as "--format rlds --seed 100000".
+FUZZ_MINUTES ?= 1
+FUZZ ?=
+fuzz: .venv/ready
+	$(RUN)/python -m tests.fuzz --minutes $(FUZZ_MINUTES) $(FUZZ)
+
+# The documentation as pages, runs/site/index.html; a broken link is an error.
+docs: .venv/ready-docs
+	$(RUN)/mkdocs build --strict --quiet
+
+# Memory and time of ingest and sweep at 10, 100 and 1000 episodes.
+bench-scale: .venv/ready
+	$(RUN)/python benchmarks/bench_scale.py
 
 # Our ways to fit against annealing, CMA-ES and mujoco.sysid: one loss, one data set, error and time as ratios. An hour or so.
 # Words for it, such as BENCH="--case arm6 --method gauss_newton".
@@ -86,6 +131,10 @@ check: .venv/ready-dev
 
 .venv/ready-dev: .venv/ready
 	$(RUN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[test,dev]"
+	touch $@
+
+.venv/ready-docs: .venv/ready
+	$(RUN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[test,docs]"
 	touch $@
 
 .venv/ready-bench: .venv/ready
@@ -126,4 +175,4 @@ blind-slice: .venv/ready
 	$(RUN)/python -m pytest -q tests/blind
 
 clean:
-	rm -rf .venv .venv-lerobot .venv-node runs/peers runs/reproduce runs/dream-tiny runs/policy-tiny
+	rm -rf .venv .venv-lerobot .venv-node runs/peers runs/reproduce runs/dream-tiny runs/policy-tiny runs/policy-table
