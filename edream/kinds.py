@@ -8,6 +8,8 @@ import json
 import math
 import os
 import re
+import signal
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import asdict, is_dataclass
 from pathlib import Path
@@ -17,6 +19,7 @@ import numpy as np
 
 TEXT = frozenset({".xml", ".py", ".csv", ".html", ".txt", ".md", ".yaml"})
 CLOCK = re.compile(rb"<time>[^<]*</time>")
+_passed: Counter[str] = Counter()
 
 
 def write(value: Any, path: Path) -> None:
@@ -40,7 +43,17 @@ def write(value: Any, path: Path) -> None:
         else:
             file.write(value.encode() if path.suffix in TEXT else value)
         file.flush()
+        failpoint("written")
         os.fsync(file.fileno())
+
+
+def failpoint(name: str) -> None:
+    """Kill this process where `EDREAM_FAILPOINT` says so ("rename" or, at the third time, "rename:3"); for fault tests."""
+    wanted = os.environ.get("EDREAM_FAILPOINT")
+    if wanted:
+        _passed[name] += 1
+        if wanted in (name, f"{name}:{_passed[name]}"):
+            os.kill(os.getpid(), signal.SIGKILL)
 
 
 def read(path: Path) -> Any:

@@ -14,9 +14,8 @@ import fcntl
 import hashlib
 import json
 import os
+import platform
 import shutil
-import signal
-from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -25,10 +24,10 @@ from typing import Any
 from edream import kinds
 from edream.core.errors import EdreamError, unknown_name
 from edream.core.stage import Artifact, Bundle, stage_of
+from edream.kinds import failpoint
 
 MANIFEST = "manifest.json"
 KEY_LENGTH = 20
-_passed: Counter[str] = Counter()
 
 
 class StoredArtifact(Artifact):
@@ -141,6 +140,7 @@ class Store:
             write_checked(record, temporary)
             failpoint("run")
             os.replace(temporary, path)
+            failpoint("named")
             _flush(self.root)
         return path
 
@@ -215,7 +215,7 @@ class Store:
 
 def publish(folder: Path, manifest: Mapping[str, Any], bundle: Bundle) -> StoredArtifact:
     """Write `bundle` and its manifest as `folder`, in one rename. Where the folder is there already, it stays as it is."""
-    temporary = folder.parent / f".tmp-{folder.name}-{os.getpid()}"
+    temporary = folder.parent / f".tmp-{folder.name}-{platform.node()}-{os.getpid()}"
     with writing(folder.parent):
         try:
             temporary.mkdir(parents=True)
@@ -226,6 +226,7 @@ def publish(folder: Path, manifest: Mapping[str, Any], bundle: Bundle) -> Stored
             content = hashlib.sha256(kinds.canonical({name: entry["logical"] for name, entry in files.items()})).hexdigest()
             failpoint("manifest")
             write_checked({**manifest, "files": files, "digest": content}, temporary / MANIFEST)
+            failpoint("flush")
             for inner in {path.parent for path in temporary.rglob("*")}:
                 _flush(inner)
             failpoint("rename")
@@ -292,15 +293,6 @@ def writing(where: Path) -> Iterator[None]:
         ) from error
 
 
-def failpoint(name: str) -> None:
-    """Kill this process where `EDREAM_FAILPOINT` says so ("rename" or, at the third time, "rename:3"); for fault tests."""
-    wanted = os.environ.get("EDREAM_FAILPOINT")
-    if wanted:
-        _passed[name] += 1
-        if wanted in (name, f"{name}:{_passed[name]}"):
-            os.kill(os.getpid(), signal.SIGKILL)
-
-
 def _write(folder: Path, name: str, value: Any) -> dict[str, Any]:
     path = folder / name
     if Path(name).is_absolute() or ".." in Path(name).parts or name == MANIFEST:
@@ -321,6 +313,7 @@ def _take(source: Path, path: Path) -> None:
         os.link(source, path)
     else:
         shutil.copyfile(source, path)
+    failpoint("written")
     _flush(path)
 
 
@@ -343,9 +336,7 @@ def _remove(path: Path) -> None:
 
 @contextmanager
 def _locked(path: Path, how: int, waiting: Callable[[], None] | None = None) -> Iterator[None]:
-    with writing(path.parent):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+    descriptor = _lock_file(path, how)
     try:
         try:
             fcntl.flock(descriptor, how | fcntl.LOCK_NB)
@@ -356,3 +347,14 @@ def _locked(path: Path, how: int, waiting: Callable[[], None] | None = None) -> 
         yield
     finally:
         os.close(descriptor)
+
+
+def _lock_file(path: Path, how: int) -> int:
+    with writing(path.parent):
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            return os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+        except OSError as error:
+            if how == fcntl.LOCK_SH and error.errno in (errno.EROFS, errno.EACCES) and path.exists():
+                return os.open(path, os.O_RDONLY)  # what a store holds that may not be written can still be read
+            raise

@@ -1,9 +1,11 @@
 """Three small stages on the real pipeline, as a program that fault tests kill: grow (shards) -> mix (shards) -> total."""
 
+import os
 import sys
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
+from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -83,7 +85,31 @@ def install() -> None:
     pipeline.stage = lambda name: STAGES[name] if name in STAGES else own(name)
 
 
+def turn_clock(days: float) -> None:
+    """Let the pipeline's clock be off by so many days, and jump by as many more whenever it is read."""
+    jumps = iter(range(1, 10**9))
+
+    class Jumping(datetime):
+        @classmethod
+        def now(cls, tz=None):
+            return datetime.now(tz) + next(jumps) * timedelta(days=days)
+
+    pipeline.datetime = Jumping  # type: ignore[misc]
+
+
+def once(runs: str, failpoint: str | None, out: str, slow: float = 0.0) -> None:
+    """Make everything in this process, killed at a point where one is given; the final digest is written into `out`."""
+    global SLOW
+    SLOW = slow
+    if failpoint:
+        os.environ["EDREAM_FAILPOINT"] = failpoint
+    install()
+    made, _ = pipeline.make_run("total", ("total",), settings(Path(runs), run="test"))
+    Path(out).write_text(made["total"].digest)
+
+
 if __name__ == "__main__":
     install()
+    turn_clock(float(os.environ.get("EDREAM_TEST_CLOCK", "0")))
     made, _ = pipeline.make_run("total", ("total",), settings(Path(sys.argv[1]), workers=int(sys.argv[2]), run="test"))
     print(made["total"].digest)
