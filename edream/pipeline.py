@@ -12,6 +12,7 @@ from dataclasses import asdict, dataclass, fields
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
@@ -39,6 +40,7 @@ class Plumbing:
     class Executor:
         kind: str
         workers: int
+        address: str | None = None
 
     runs: Path
     executor: Executor
@@ -57,7 +59,7 @@ def make(name: str, cfg: DictConfig, given: Mapping[str, StoredArtifact] | None 
         EdreamError: a setting or an input is wrong, the disk is full, or an artifact that is needed is corrupt.
     """
     plumbing = config.read(cfg, Plumbing)
-    places = executor.create(plumbing.executor.kind, plumbing.executor.workers)
+    places = executor.create(plumbing.executor.kind, plumbing.executor.workers, plumbing.executor.address)
     return _Maker(cfg, Store(plumbing.runs), places, dict(given or {})).make(name)
 
 
@@ -88,6 +90,20 @@ def make_run(command: str, names: Sequence[str], cfg: DictConfig) -> tuple[dict[
         if store.runs().get(name) != record:
             store.name_run(name, record)
     return made, path
+
+
+def follow(name: str, cfg: DictConfig) -> None:
+    """Help the process that makes a stage, from what the stage is made from; returns when that process is done.
+
+    Raises:
+        EdreamError: a setting or an input is wrong.
+    """
+    entry = stage(name)
+    settings = config.read(cfg, entry.config)
+    inputs = {need: make(need, cfg) for need in entry.needs_for(settings)}
+    if entry.follow is not None:
+        with TemporaryDirectory() as folder:
+            entry.follow(inputs, settings, Path(folder))
 
 
 def open_store(cfg: DictConfig) -> Store:
@@ -308,6 +324,8 @@ def _numerics(packages: tuple[str, ...]) -> dict[str, str]:
     found = {package: version(package) for package in packages}
     if "torch" in packages:
         found["torch threads"] = os.environ.get("OMP_NUM_THREADS") or str(executor.cores())
+        if os.environ.get("WORLD_SIZE", "1") != "1":
+            found["torch processes"] = os.environ["WORLD_SIZE"]
     return found
 
 

@@ -1,0 +1,113 @@
+"""A Ray cluster of two machines, one of which dies: the same bytes as processes of one machine.
+
+python -m pytest -m slow tests/faults/test_ray.py     (needs edream[ray])
+"""
+
+import json
+import os
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import small_stages
+
+from edream import pipeline
+from edream.core.errors import EdreamError
+from edream.executor import Ray, create
+from edream.store import Store
+
+ROOT = Path(__file__).parents[2]
+SHARDS = 60
+SIMULATED = ["robot=pan_tilt", "ingest.fps=50", "fit.method=surrogate", "fit.seconds=4", "fit.stretch=2", "sweep.sets=16"]
+SIMULATED += ["sweep.rounds=1", "sweep.windows=8", "sweep.blocks=8", "seed=1"]
+
+
+def test_an_executor_that_does_not_exist_is_one_sentence() -> None:
+    with pytest.raises(EdreamError, match="ray"):
+        create("raj", 0)
+
+
+@pytest.fixture
+def cluster(monkeypatch) -> Iterator:
+    """Two machines with two cores each, as far as Ray can tell; jobs begin on the first."""
+    ray = pytest.importorskip("ray", reason="Ray is not installed: pip install 'edream[ray]'")
+    from ray.cluster_utils import Cluster
+
+    monkeypatch.setenv("PYTHONPATH", f"{ROOT}{os.pathsep}{Path(small_stages.__file__).parent}")
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")
+    own = pipeline.stage
+    monkeypatch.setattr(pipeline, "stage", lambda name: small_stages.STAGES.get(name) or own(name))
+    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 2, "object_store_memory": 10**8})
+    cluster.second = cluster.add_node(num_cpus=2, object_store_memory=10**8)
+    cluster.wait_for_nodes()
+    yield cluster
+    ray.shutdown()
+    cluster.shutdown()
+
+
+def settings(runs: Path, address: str | None, kind: str = "ray"):
+    cfg = small_stages.settings(runs, shards=SHARDS, run="test")
+    cfg.executor = {"kind": kind, "workers": 0 if kind == "ray" else 1, "address": address}
+    return cfg
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_two_machines_make_the_bytes_of_one_and_the_death_of_one_changes_nothing(cluster, tmp_path) -> None:
+    here = pipeline.make_run("total", ("total",), settings(tmp_path / "here", None, "local"))[0]["total"]
+    whole = pipeline.make_run("total", ("total",), settings(tmp_path / "whole", cluster.address))[0]["total"]
+    assert whole.digest == here.digest
+    runs, died = tmp_path / "killed", threading.Event()
+
+    def kill() -> None:
+        while len(list(runs.glob("grow/.work-*/values/0*"))) < 5:
+            time.sleep(0.01)
+        cluster.remove_node(cluster.second, allow_graceful=False)
+        died.set()
+
+    killer = threading.Thread(target=kill)
+    killer.start()
+    made = pipeline.make_run("total", ("total",), settings(runs, cluster.address))[0]["total"]
+    killer.join()
+    assert died.is_set() and made.digest == here.digest
+    assert Store(runs).verify() == []
+    files = [{p.relative_to(r): p.read_bytes() for p in r.glob("grow/*/values.parquet")} for r in (tmp_path / "here", runs)]
+    assert files[0] == files[1], "the same bytes, not only the same meaning"
+
+
+def fails(job: int) -> None:
+    if job == 2:
+        raise EdreamError("Job 2 cannot be done.")
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+def test_a_mistake_in_a_task_far_away_is_the_same_one_sentence(cluster) -> None:
+    with pytest.raises(EdreamError) as told:
+        list(Ray(cluster.address).run(fails, range(5)))
+    assert str(told.value) == "Job 2 cannot be done."
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_a_policy_is_judged_on_a_cluster_as_on_one_machine(tmp_path) -> None:
+    pytest.importorskip("ray", reason="Ray is not installed: pip install 'edream[ray]'")
+    program = "from edream.cli import main; main()"
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
+
+    def ask(*words: str) -> dict:
+        done = subprocess.run([sys.executable, "-c", program, *words, "--json"], env=environment, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+        return json.loads(done.stdout)
+
+    ask("record", "robot=pan_tilt", f"record.out={tmp_path}/rec", "record.motions=3", "record.seconds=3", "seed=1")
+    found = []
+    for words in ([], ["executor=ray", "executor.address=null"]):
+        runs = tmp_path / ("far" if words else "here")
+        ask("calibrate", *SIMULATED, *words, f"data={tmp_path}/rec", f"runs={runs}", "fit.search.descent_steps=5")
+        found.append({one.stage: one.digest for one in Store(runs).artifacts()})
+    assert found[0] == found[1]
