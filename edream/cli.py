@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from edream import __version__, catalog
+from edream import __version__, catalog, cli_complete
 from edream.core.errors import EdreamError
 
 app = typer.Typer(
@@ -32,7 +32,10 @@ app = typer.Typer(
 )
 
 Overrides = Annotated[
-    list[str] | None, typer.Argument(metavar="[NAME=VALUE]...", help="Settings, such as robot=so101 or data=PATH.")
+    list[str] | None,
+    typer.Argument(
+        metavar="[NAME=VALUE]...", help="Settings, such as robot=so101 or data=PATH.", autocompletion=cli_complete.settings
+    ),
 ]
 Conf = Annotated[Path | None, typer.Option("--conf", metavar="DIR", help="A folder of your own config files, searched first.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
@@ -41,6 +44,7 @@ Runs = Annotated[list[str] | None, typer.Argument(metavar="[runs=DIR]", help="Th
 
 def main() -> None:
     """Run the command line; a mistake that a user can mend is one sentence and exit code 2."""
+    cli_complete.begin()
     try:
         app()
     except EdreamError as error:
@@ -101,9 +105,20 @@ def dream(overrides: Overrides = None, conf: Conf = None, json: Json = False) ->
     """Train a model that turns renderings of the calibrated simulator into video like the recordings', and judge it on held-out
     episodes.
 
-    Example: `edream dream robot.mjcf=robot.xml data=recordings/ camera.file=cameras.json seed=3`
+    Under torchrun several processes train together; the first one does everything else.
+
+    Examples: `edream dream robot.mjcf=robot.xml data=recordings/ camera.file=cameras.json seed=3`,
+    `torchrun --nproc-per-node 2 --no-python edream dream dream=full robot.mjcf=robot.xml data=recordings/`
     """
-    run("dream", ("score", "report"), [*(overrides or []), "report.of=dream"], conf, json)
+    from edream import pipeline
+    from edream.vision.together import joined
+
+    words = [*(overrides or []), "report.of=dream"]
+    with joined() as rank:
+        if rank:
+            pipeline.follow("dream", _compose(words, conf))
+        else:
+            run("dream", ("score", "report"), words, conf, json)
 
 
 @_command("evaluate")
@@ -215,6 +230,34 @@ def report(
             cli_report.whole(cfg, whole, truth, open_it, write if json else None)
         else:
             cli_report.report(cfg, open_it, write if json else None)
+
+
+@app.command()
+def view(
+    overrides: Runs = None,
+    episode: Annotated[str | None, typer.Option("--episode", metavar="NAME", help="Which one; the first if not given.")] = None,
+    save: Annotated[Path | None, typer.Option("--save", metavar="F.rrd", help="Write a Rerun file instead of showing it.")] = None,
+    layout: Annotated[Path | None, typer.Option("--layout", metavar="F.json", help="Write a Foxglove layout instead.")] = None,
+    json: Json = False,
+) -> None:
+    """Show an ingested episode in Rerun: commands, positions and images. Foxglove opens the episode file itself.
+
+    Examples: `edream view --episode episode_000000`, `edream view --layout layout.json runs=runs`
+    """
+    from edream import cli_view
+
+    cfg = _compose(overrides, None)
+    with _stdout_for_json(json) as write:
+        cli_view.view(cfg, episode, save, layout, write if json else None)
+
+
+@app.command()
+def completion(shell: Annotated[str, typer.Argument(help="bash, zsh or fish.")]) -> None:
+    """Print what a shell reads to complete commands, options and settings.
+
+    Example: `edream completion bash >> ~/.bashrc`
+    """
+    print(cli_complete.script(shell))
 
 
 @app.command()
