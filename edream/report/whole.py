@@ -177,13 +177,13 @@ def _success(runs: Sequence[Run]) -> Iterator[dict[str, Any]]:
     """How often policies succeed; and, where some learned with changed scenes, on which scene."""
     for run in runs:
         summary = run["evaluate"]["summary.json"]
-        cell = _config(run["evaluate"])["record"]["cell"]
-        changed = cell["paper"] != "none"
+        paper = _config(run["evaluate"])["evaluate"]["paper"]
+        changed = paper != "none"
         rows = [_rate_row(row, changed) for row in summary["rates"]]
         last = summary["rates"][-1]
-        where = f"with a sheet of A4 paper on the table ({cell['paper']})" if changed else "on the scene of the demonstrations"
+        where = f"with a sheet of A4 paper on the table ({paper})" if changed else "on the scene of the demonstrations"
         yield {
-            "name": "Augmentation: the scene is changed" if changed else "Success: supervised, then by trials",
+            "name": f"{summary['task']}: {'augmentation, the scene is changed' if changed else 'supervised, then by trials'}",
             "sentence": f"{summary['sentence']} {where.capitalize()}.",
             "short": f"{'With paper' if changed else 'Policy'}: {last['name']} {100 * last['success']['share']:.0f} %.",
             "heads": ("", "ours [%], Wilson's 95 % interval", "trials", "paper's [%]"),
@@ -200,7 +200,7 @@ def _rate_row(row: Mapping[str, Any], changed: bool) -> Row:
     low, high = one["interval"]
     views = 3 if "3 views" in row["name"] else 1
     name = "RL" if row["policy"].startswith("rl") else f"SFT, {views} view{'s' if views > 1 else ''}"
-    plain = row["policy"] in ("sft", "rl") and not changed
+    plain = not changed and (row["policy"] in ("sft", "rl") or name == "SFT, 3 views")
     theirs = f"{100 * PAPER_SUCCESS[name]:.0f}" if plain else "–"
     return row["name"], f"{100 * one['share']:.1f} [{100 * low:.1f}, {100 * high:.1f}]", f"{one['trials']}", theirs
 
