@@ -13,6 +13,7 @@ import pyarrow as pa
 from omegaconf import OmegaConf
 
 from edream import pipeline
+from edream.core.errors import EdreamError
 from edream.core.stage import Artifact, Bundle, Stage, Work
 
 SLOW = 0.004  # s of pretended work a shard
@@ -65,6 +66,12 @@ def total(inputs: Mapping[str, Artifact], config: TotalConfig, work: Work) -> Bu
     mixed = inputs["mix"]
     values = np.concatenate([np.frombuffer(mixed[name]) for name in sorted(mixed) if name.endswith(".bin")])
     return {"summary.json": {"total": float(values.sum()), "seed": work.seed("total")}}
+
+
+def fails(job: int) -> None:
+    """A task that cannot do its third job."""
+    if job == 2:
+        raise EdreamError("Job 2 cannot be done.")
 
 
 STAGES = {
