@@ -135,7 +135,7 @@ def _diagnosis(run: Run, hidden: Sequence[str]) -> dict[str, Any]:
         "rows": rows,
         "times": [],
         "comparable": COMPARABLE["diagnose"],
-        "tiles": [("gap closed by diagnosis", share(closed), "")],
+        "tiles": [("of that error gone by diagnosis", share(closed), "")],
         "figures": [ladder(steps, gap["noise_floor_rad"])],
     }
 
