@@ -16,13 +16,13 @@ NEW = {"widths": (32, 64, 64), "latent": 4, "scale": None}
 
 
 class Autoencoder(FittedCodec):
-    """diffusers' AutoencoderKL; the latent is its mean, divided by its spread."""
+    """diffusers' AutoencoderKL, or the one with SVD's temporal decoder; the latent is its mean, divided by its spread."""
 
     lossless = False
 
-    def __init__(self, network: Any, factor: int, channels: int, scale: float | None) -> None:
+    def __init__(self, network: Any, factor: int, channels: int, scale: float | None, temporal: bool = False) -> None:
         super().__init__()
-        self.network, self.factor, self.channels = network, factor, channels
+        self.network, self.factor, self.channels, self.temporal = network, factor, channels, temporal
         self.spread = nn.Buffer(
             torch.tensor([1.0 if scale is None else 1.0 / scale])
         )  # of one number: the store keeps no 0-d arrays
@@ -31,7 +31,8 @@ class Autoencoder(FittedCodec):
         return self.network.encode(images).latent_dist.mean / self.spread
 
     def decode(self, latents: Tensor) -> Tensor:
-        return self.network.decode(latents * self.spread).sample
+        about = {"num_frames": len(latents)} if self.temporal else {}
+        return self.network.decode(latents * self.spread, **about).sample
 
 
 class KlVae(Codec):
@@ -39,20 +40,23 @@ class KlVae(Codec):
 
     A small VAE that was trained for a minute capped PSNR at 25 dB in our measurements, so its own reconstruction is printed beside
     the model's score. Weights: a folder as diffusers writes it (config.json and diffusion_pytorch_model.safetensors), such as the
-    `vae` of Stable Diffusion. The temporal decoder of SVD is not loaded; its encoder is the same.
+    `vae` of Stable Diffusion, or that of Stable Video Diffusion, whose decoder looks at neighbouring images: which of the two,
+    its config.json says. Frame by frame (for a policy's eyes) the temporal decoder has no neighbours to look at.
     """
 
     name = "kl_vae"
-    summary = "KL autoencoder from diffusers' blocks, trained here or loaded from a local folder"
+    summary = "KL autoencoder from diffusers' blocks, trained here or loaded from a local folder, SVD's temporal decoder too"
+    learned = True
 
     def build(self, options: Mapping[str, Any], weights: Path | None) -> Autoencoder:
         from diffusers.models.autoencoders.autoencoder_kl import AutoencoderKL
+        from diffusers.models.autoencoders.autoencoder_kl_temporal_decoder import AutoencoderKLTemporalDecoder
 
         for name in options:
             if name not in NEW:
                 raise unknown_name("option of codec 'kl_vae':", name, NEW)
         if weights is not None:
-            return _loaded(weights, AutoencoderKL)
+            return _loaded(weights, AutoencoderKL, AutoencoderKLTemporalDecoder)
         chosen = NEW | dict(options)
         widths = tuple(int(w) for w in chosen["widths"])
         if any(w % 32 for w in widths):
@@ -91,7 +95,7 @@ class KlVae(Codec):
         return losses
 
 
-def _loaded(folder: Path, kind: Any) -> Autoencoder:
+def _loaded(folder: Path, plain: Any, looking_around: Any) -> Autoencoder:
     import json
 
     file, config = folder / "diffusion_pytorch_model.safetensors", folder / "config.json"
@@ -99,12 +103,14 @@ def _loaded(folder: Path, kind: Any) -> Autoencoder:
         raise EdreamError(f"There is no VAE at {folder}; expected diffusers' config.json and diffusion_pytorch_model.safetensors.")
     try:
         settings = json.loads(config.read_text())
-        network = kind.from_config(settings)
+        temporal = settings["_class_name"] == looking_around.__name__
+        network = (looking_around if temporal else plain).from_config(settings)
         scale = float(settings.get("scaling_factor", 0.18215))
     except (ValueError, TypeError, KeyError) as error:
         raise EdreamError(f"{config} is no VAE's config: {' '.join(str(error).split())}.") from error
     fill(network, read_weights(file), str(file))
-    return Autoencoder(network, 2 ** (len(network.config.block_out_channels) - 1), network.config.latent_channels, scale)
+    factor = 2 ** (len(network.config.block_out_channels) - 1)
+    return Autoencoder(network, factor, network.config.latent_channels, scale, temporal)
 
 
 ENTRY = KlVae()

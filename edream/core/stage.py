@@ -115,7 +115,10 @@ class Stage:
             what they lead to does.
         run: `run(inputs, config, work)` makes the artifact. `inputs` maps each need to its artifact.
         sources: outside data whose content enters the key, by name; None for the file or folder of every `Path` field.
-        numerics: packages whose version changes the numbers, such as ("mujoco",). With "torch" the thread count enters too.
+        numerics: packages whose version changes the numbers, such as ("mujoco",). With "torch" the counts of threads and of
+            processes that train together enter too.
+        follow: `follow(inputs, config, folder)` helps another process that runs this stage, until that one is done; None where one
+            process does it alone. Nothing that it leaves in `folder` is kept.
     """
 
     name: str
@@ -125,6 +128,7 @@ class Stage:
     run: Callable[[Mapping[str, Artifact], Any, Work], Bundle]
     sources: Callable[[Any], Mapping[str, Source]] | None = None
     numerics: tuple[str, ...] = ()
+    follow: Callable[[Mapping[str, Artifact], Any, Path], None] | None = None
 
     def needs_for(self, config: Any) -> tuple[str, ...]:
         """The stages it reads under this config."""

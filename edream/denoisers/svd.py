@@ -12,7 +12,7 @@ from edream.core.errors import EdreamError, unknown_name
 from edream.learn.checkpoint import fill, read_weights
 from edream.learn.denoiser import Denoiser, FittedDenoiser, Shown, State
 
-NEW = {"widths": (32, 64), "layers": 1, "cross": 32, "heads": 4}
+NEW = {"widths": (32, 64), "layers": 1, "cross": 32, "heads": 4, "save_memory": False}
 STEADY = (6.0, 127.0, 0.02)  # frames per second, motion bucket and noise on the reference, as SVD was trained
 
 
@@ -42,7 +42,8 @@ class Svd(FittedDenoiser):
 class StableVideo(Denoiser):
     """diffusers' spatio-temporal UNet. With `weights`, a folder as diffusers writes the `unet` of SVD or SVD-XT: its first layer
     keeps SVD's own input channels and gets zeros for what is new. Use it with `dream.objective.kind=edm` and `spread: 1.0`, and
-    the codec `kl_vae` with SVD's VAE. Options for a new, small one: `widths` (multiples of 32), `layers`, `cross`, `heads`.
+    the codec `kl_vae` with SVD's VAE. Options for a new, small one: `widths` (multiples of 32), `layers`, `cross`, `heads`;
+    for both, `save_memory`, gradient checkpointing.
     """
 
     name = "svd"
@@ -51,11 +52,17 @@ class StableVideo(Denoiser):
     def build(self, channels: int, shown: int, options: Mapping[str, Any], weights: Path | None) -> Svd:
         from diffusers.models.unets.unet_spatio_temporal_condition import UNetSpatioTemporalConditionModel as Network
 
-        if weights is not None:
-            return _loaded(weights, channels, shown, Network)
         for name in options:
             if name not in NEW:
                 raise unknown_name("option of denoiser 'svd':", name, NEW)
+        if weights is not None:
+            own = [name for name in options if name != "save_memory"]
+            if own:
+                raise EdreamError(
+                    f"dream.denoiser.options.{own[0]} is for a new network; with weights, their config.json says how it is."
+                )
+            loaded = _loaded(weights, channels, shown, Network)
+            return _saving(loaded) if options.get("save_memory") else loaded
         chosen = NEW | dict(options)
         widths = tuple(int(w) for w in chosen["widths"])
         if len(widths) < 2 or any(w % 32 for w in widths):
@@ -75,7 +82,14 @@ class StableVideo(Denoiser):
         )
         nn.init.zeros_(network.conv_out.weight)
         nn.init.zeros_(network.conv_out.bias)  # type: ignore[arg-type]
-        return Svd(network, int(chosen["cross"]))
+        made = Svd(network, int(chosen["cross"]))
+        return _saving(made) if chosen["save_memory"] else made
+
+
+def _saving(made: Svd) -> Svd:
+    """The same with gradient checkpointing."""
+    made.network.enable_gradient_checkpointing()
+    return made
 
 
 def _loaded(folder: Path, channels: int, shown: int, kind: Any) -> Svd:

@@ -1,7 +1,7 @@
 """A codec: how images become the latents that a denoiser works on, and back."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -29,14 +29,19 @@ class FittedCodec(nn.Module, ABC):
 
     @abstractmethod
     def decode(self, latents: Float[Tensor, "N C h w"]) -> Float[Tensor, "N 3 H W"]:
-        """Latents as images, -1..1."""
+        """Latents as images, -1..1. They are successive images of one clip, for a codec may look at neighbours."""
 
 
 class Codec(ABC):
-    """One sort of codec. A new one is one new file in `edream/codecs/` that defines `ENTRY`."""
+    """One sort of codec. A new one is one new file in `edream/codecs/` that defines `ENTRY`.
+
+    Attributes:
+        learned: whether it has weights; then it is made once, with the latents of all recorded images, by the stage `codec`.
+    """
 
     name: str
     summary: str
+    learned: bool = False
 
     @abstractmethod
     def build(self, options: Mapping[str, Any], weights: Path | None) -> FittedCodec:
@@ -56,11 +61,11 @@ def flat(images: Float[Tensor, "B T C H W"]) -> tuple[Float[Tensor, "N C H W"], 
     return images.flatten(0, 1), (images.shape[0], images.shape[1])
 
 
-def reconstruction_psnr(codec: FittedCodec, images: Float[Tensor, "N 3 H W"]) -> float | None:
+def reconstruction_psnr(codec: FittedCodec, clips: Sequence[Float[Tensor, "T 3 H W"]]) -> float | None:
     """What the codec alone loses [dB]; None for a lossless one. No model behind it can score better."""
     if codec.lossless:
         return None
     with torch.no_grad():
-        parts = [codec.decode(codec.encode(part)).clamp(-1, 1) for part in images.split(16)]
-    error = (torch.cat(parts) - images).square().mean().item()
+        apart = [(codec.decode(codec.encode(clip)).clamp(-1, 1) - clip).square().mean().item() for clip in clips]
+    error = sum(apart) / len(apart)
     return float(10.0 * torch.log10(torch.tensor(4.0 / max(error, 1e-12))))

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from edream.core.errors import EdreamError
+from edream.learn import ranks
 from edream.learn.checkpoint import fill
 
 State = dict[str, np.ndarray]
@@ -78,7 +79,8 @@ def train(
 ) -> tuple[State, list[float]]:
     """Train from step `first` up to, not including, `last`.
 
-    Whatever is random in a step follows from the step's number alone, so a run that was cut into pieces gives the same bytes.
+    Whatever is random in a step follows from the step's number alone, so a run that was cut into pieces gives the same bytes. Where
+    several processes train together (`edream.learn.ranks`), `loss_of` is to call the network through `ranks.as_one`.
 
     Args:
         network: takes the state's weights and is trained in place.
@@ -110,7 +112,7 @@ def train(
         loss.backward()
         torch.nn.utils.clip_grad_norm_(network.parameters(), schedule.clip, foreach=False)
         adam.step()
-        losses.append(float(loss.detach()))
+        losses.append(ranks.mean(loss.detach()))
         if not math.isfinite(losses[-1]):
             raise EdreamError(
                 f"The loss is not finite after {step + 1} training steps; lower dream.train.rate ({schedule.rate:g})."

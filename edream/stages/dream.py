@@ -1,7 +1,8 @@
 """Dream: train the model that makes renderings look real, and beside it what it is compared with."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,16 +11,18 @@ import torch
 from edream import catalog
 from edream.core.stage import Artifact, Bundle, Source, Stage, Work
 from edream.ingest.layered import layered_images
-from edream.learn.checkpoint import arrays, fill, weights_digest
-from edream.learn.codec import Codec, reconstruction_psnr
+from edream.learn import ranks
+from edream.learn.checkpoint import fill, weights_digest
+from edream.learn.codec import Codec
 from edream.learn.determinism import deterministic
 from edream.learn.training import AVERAGE, State, new_state, part, train
-from edream.vision.clips import STORED, Scenes, clip_of, starts
+from edream.vision.batches import Batches, KeptLatents
+from edream.vision.clips import STORED, Scenes, starts
 from edream.vision.dreamer import DreamModel
 from edream.vision.grain import Grain, measured_grain
 from edream.vision.judging import drawn
-from edream.vision.trained import CODEC, file_of, loaded
-from edream.vision.variants import Batches, DreamOptions, Variant, device_of, new_model, variants
+from edream.vision.trained import CODEC, file_of, latents_of, loaded
+from edream.vision.variants import DreamOptions, Variant, device_of, new_model, variants
 
 
 @dataclass(frozen=True)
@@ -33,81 +36,115 @@ class DreamConfig:
 def run(inputs: Mapping[str, Artifact], config: DreamConfig, work: Work) -> Bundle:
     """Train each variant in pieces that are kept, so that a run that was killed goes on at its last piece."""
     options, about = config.dream, inputs["condition"]["summary.json"]
-    scenes = Scenes.gather(layered_images(inputs["condition"], STORED), work.folder("images"), about["held"])
-    chosen = variants(options, tuple(about["object_sources"]))
     bundle: dict[str, Any] = {}
     grains: dict[str, tuple[float, ...]] = {}
     losses: dict[str, list[float]] = {}
     with deterministic():
-        codec, codec_losses, codec_psnr = _codec(options, chosen[0], scenes, config.seed, work)
-        for variant in chosen:
-            state, losses[variant.name] = _trained(options, variant, scenes, codec, config.seed, work)
+        trainer = Trainer.of(inputs, config, work.folder("images"))
+        for number, variant in enumerate(trainer.variants):
+            state, losses[variant.name] = _trained(trainer, number, work)
             bundle[file_of(variant.name)] = {name: value.numpy() for name, value in part(state, AVERAGE).items()}
-            model = loaded(bundle | ({CODEC: codec} if codec else {}), options, variant, config.seed)
-            grains[variant.name] = _missing_grain(model, variant, scenes, options, Grain(tuple(about["grain"])), config.seed).levels
-    if codec:
-        bundle[CODEC] = codec
+            model = loaded(bundle | trainer.codec, options, variant, config.seed)
+            grain = _missing_grain(model, variant, trainer.scenes, options, Grain(tuple(about["grain"])), config.seed)
+            grains[variant.name] = grain.levels
+    chosen = trainer.variants
     size = sum(array.size for array in bundle[file_of(chosen[0].name)].values())
-    digest = weights_digest(bundle[file_of(chosen[0].name)])
+    codec = inputs["codec"]["summary.json"] if "codec" in inputs else {"psnr": None, "losses": []}
     summary = {
         "sentence": f"{len(chosen)} models of {size / 1e6:.2f} M parameters trained for {options.train.steps} steps each.",
         "parameters": size,
-        "weights_digest": digest,
-        "codec_psnr": codec_psnr,
+        "weights_digest": weights_digest(bundle[file_of(chosen[0].name)]),
+        "codec_psnr": codec["psnr"],
         "variants": [variant.name for variant in chosen],
     }
-    return bundle | {"summary.json": summary, "losses.json": {"codec": codec_losses, **losses}, "grain.json": grains}
+    told = {"summary.json": summary, "losses.json": {"codec": codec["losses"], **losses}, "grain.json": grains}
+    return bundle | trainer.codec | told
 
 
-def _codec(
-    options: DreamOptions, variant: Variant, scenes: Scenes, seed: int, work: Work
-) -> tuple[dict[str, np.ndarray], list[float], float | None]:
-    """Weights of the codec where it has some, and what it loses on held-out images."""
+@dataclass(eq=False)
+class Trainer:
+    """All that trains the variants, and the one at work; every process that trains has one.
 
-    def fit(item: int, rng: np.random.Generator) -> Bundle:
-        model = new_model(options, variant, seed)
-        found: list[float] = []
-        if options.codec_steps:
-            pictures = torch.cat([clip_of(scenes, [(n, f, "none")], 1).real[0] for n, f in starts(scenes, 1, False, 5)])
-            found = catalog.load("codecs", options.codec.kind, Codec).train(model.codec, pictures, options.codec_steps, seed)
-        held = torch.cat([clip_of(scenes, [(n, f, "none")], 1).real[0] for n, f in starts(scenes, 1, True, 8)])
-        about = {"losses": found, "psnr": reconstruction_psnr(model.codec, held)}
-        return {CODEC: arrays(model.codec), "about.json": about}
+    Attributes:
+        codec: the weights of the codec under its file's name; empty where it has none.
+    """
 
-    if not arrays(new_model(options, variant, seed).codec):
-        return {}, [], None
-    kept = work.shards("codec", [0], fit, parallel=False)[0]
-    return kept[CODEC], kept["about.json"]["losses"], kept["about.json"]["psnr"]
+    scenes: Scenes
+    latents: KeptLatents | None
+    codec: dict[str, dict[str, np.ndarray]]
+    options: DreamOptions
+    seed: int
+    variants: Sequence[Variant]
+    _at_work: tuple[int, DreamModel, Batches] | None = None
+
+    @classmethod
+    def of(cls, inputs: Mapping[str, Artifact], config: DreamConfig, folder: Path) -> "Trainer":
+        """With the images, and the latents where there are some, in files of `folder`."""
+        about = inputs["condition"]["summary.json"]
+        scenes = Scenes.gather(layered_images(inputs["condition"], STORED), folder, about["held"])
+        latents, codec = None, {}
+        if "codec" in inputs:
+            codec = {CODEC: dict(inputs["codec"][CODEC])}
+            each = (inputs["codec"][latents_of(number)] for number in range(len(scenes.names)))
+            latents = KeptLatents.gather(each, folder)
+        chosen = variants(config.dream, tuple(about["object_sources"]))
+        return cls(scenes, latents, codec, config.dream, config.seed, chosen)
+
+    def begin(self, number: int) -> State:
+        """Take up a variant; its state before the first step."""
+        if self._at_work is None or self._at_work[0] != number:
+            model = new_model(self.options, self.variants[number], self.seed)
+            for weights in self.codec.values():
+                fill(model.codec, {name: torch.from_numpy(np.array(array)) for name, array in weights.items()}, CODEC)
+            model.to(device_of(self.options))
+            batches = Batches(self.scenes, self.options, self.variants[number], self.seed, self.latents)
+            self._at_work = number, model, batches
+        return new_state(self._at_work[1].denoiser)
+
+    def piece(self, state: State, first: int, last: int) -> tuple[State, list[float]]:
+        """Steps `first` up to `last` of the variant at work."""
+        assert self._at_work is not None
+        _, model, batches = self._at_work
+        device, network = device_of(self.options), model.denoiser
+        model.denoiser = ranks.as_one(network)  # type: ignore[assignment]
+
+        def loss_of(step: int) -> torch.Tensor:
+            batch = batches.at(step).to(device)
+            return model.loss(batch.clip, batch.known, batch.chance, batch.latents)
+
+        try:
+            return train(network, loss_of, state, first, last, self.options.train)
+        finally:
+            model.denoiser = network
 
 
-def _trained(
-    options: DreamOptions, variant: Variant, scenes: Scenes, codec: Mapping[str, np.ndarray], seed: int, work: Work
-) -> tuple[State, list[float]]:
-    model = new_model(options, variant, seed)
-    if codec:
-        fill(model.codec, {name: torch.from_numpy(array) for name, array in codec.items()}, "The codec's weights")
-    device = device_of(options)
-    model.to(device)
-    batches = Batches(scenes, options, variant, seed)
-
-    def loss_of(step: int) -> torch.Tensor:
-        clip, known, chance = batches.at(step)
-        return model.loss(clip.to(device), known.to(device), chance)
-
+def _trained(trainer: Trainer, number: int, work: Work) -> tuple[State, list[float]]:
+    options = trainer.options
+    begun = trainer.begin(number)
     before: Artifact | None = None
     losses: list[float] = []
     for first in range(0, options.train.steps, options.checkpoint):
         last = min(first + options.checkpoint, options.train.steps)
 
         def piece(state: Artifact | None, rng: np.random.Generator, first: int = first, last: int = last) -> Bundle:
-            begun = new_state(model.denoiser) if state is None else state["state.safetensors"]
-            made, found = train(model.denoiser, loss_of, begun, first, last, options.train)
+            known = dict(begun if state is None else state["state.safetensors"])
+            ranks.lead((number, first, last), known)
+            made, found = trainer.piece(known, first, last)
             return {"state.safetensors": made, "losses.json": found}
 
-        before = work.shards(f"{variant.name}-{first:07d}", [before], piece, parallel=False)[0]
+        name = f"{trainer.variants[number].name}-{first:07d}"
+        before = work.shards(name, [before], piece, parallel=False)[0]
         losses += before["losses.json"]
     assert before is not None
     return before["state.safetensors"], losses
+
+
+def follow(inputs: Mapping[str, Artifact], config: DreamConfig, folder: Path) -> None:
+    """Train the pieces that the first process names, with it."""
+    with deterministic():
+        trainer = Trainer.of(inputs, config, folder)
+        for number, first, last in ranks.orders():
+            trainer.piece(ranks.followed(trainer.begin(number)), first, last)
 
 
 def _missing_grain(model: DreamModel, variant: Variant, scenes: Scenes, options: DreamOptions, camera: Grain, seed: int) -> Grain:
@@ -124,4 +161,10 @@ def sources(config: DreamConfig) -> Mapping[str, Source]:
     return {name: path for name, path in given.items() if path is not None}
 
 
-ENTRY = Stage("dream", 1, ("condition",), DreamConfig, run, sources, ("torch", "numpy"))
+def needs(config: DreamConfig) -> tuple[str, ...]:
+    """The conditions, and the codec with its latents where it has weights."""
+    learned = catalog.load("codecs", config.dream.codec.kind, Codec).learned
+    return ("condition", "codec") if learned else ("condition",)
+
+
+ENTRY = Stage("dream", 1, needs, DreamConfig, run, sources, ("torch", "numpy"), follow)

@@ -19,6 +19,8 @@ from edream.learn.objective import Network, Objective
 from edream.vision.clips import Clip, composed, images
 from edream.vision.grain import Grain
 
+AT_ONCE = 16  # images that are encoded or decoded at a time: that is what needs memory
+
 
 @dataclass(frozen=True)
 class Part:
@@ -33,6 +35,36 @@ class Part:
     kind: str
     options: Mapping[str, Any] = field(default_factory=dict)
     weights: Path | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Latents:
+    """Latents that were made once: of the recorded images, (B, T, C, h, w), and of the background, (B, 1, C, h, w)."""
+
+    real: Float[Tensor, "B T C h w"]
+    background: Float[Tensor, "B 1 C h w"]
+
+
+def new_codec(codec: Part, seed: int) -> FittedCodec:
+    """The codec alone, the same as `DreamModel.of` has it.
+
+    Raises:
+        EdreamError: it does not exist, or an option or its weights are wrong.
+    """
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        return _built(codec)
+
+
+def _built(codec: Part) -> FittedCodec:
+    return catalog.load("codecs", codec.kind, Codec).build(codec.options, codec.weights)
+
+
+@torch.no_grad()
+def encoded(codec: FittedCodec, images: Float[Tensor, "N 3 H W"]) -> Float[Tensor, "N C h w"]:
+    """Latents of any number of images, on the processor."""
+    device = next(iter(codec.state_dict().values()), torch.zeros(0)).device
+    return torch.cat([codec.encode(part.to(device)).cpu() for part in images.split(AT_ONCE)])
 
 
 class DreamModel(torch.nn.Module):
@@ -51,7 +83,7 @@ class DreamModel(torch.nn.Module):
         """
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
-            fitted = catalog.load("codecs", codec.kind, Codec).build(codec.options, codec.weights)
+            fitted = _built(codec)
             shown = 2 * fitted.channels + 2 * fitted.factor**2
             network = catalog.load("denoisers", denoiser.kind, Denoiser).build(
                 fitted.channels, shown, denoiser.options, denoiser.weights
@@ -61,16 +93,19 @@ class DreamModel(torch.nn.Module):
     def encode(self, clip: Float[Tensor, "B T 3 H W"]) -> Float[Tensor, "B T C h w"]:
         """Images as latents."""
         row, shape = flat(clip)
-        return self.codec.encode(row).unflatten(0, shape)
+        with torch.autocast(clip.device.type, enabled=False):  # SVD's VAE overflows in narrow numbers
+            return self.codec.encode(row.float()).unflatten(0, shape)
 
     def decode(self, latents: Float[Tensor, "B T C h w"]) -> Float[Tensor, "B T 3 H W"]:
         """Latents as images, a few at a time: decoding is what needs memory."""
-        row, shape = flat(latents)
-        return torch.cat([self.codec.decode(part) for part in row.split(16)]).unflatten(0, shape).clamp(-1.0, 1.0)
+        with torch.autocast(latents.device.type, enabled=False):
+            clips = [torch.cat([self.codec.decode(part.float()) for part in clip.split(AT_ONCE)]) for clip in latents]
+        return torch.stack(clips).clamp(-1.0, 1.0)
 
-    def shown(self, clip: Clip) -> tuple[Tensor, Shown]:
-        """The composite's latents, and what the denoiser is shown."""
-        composite, background = self.encode(clip.composite), self.encode(clip.background)
+    def shown(self, clip: Clip, background: Tensor | None = None) -> tuple[Tensor, Shown]:
+        """The composite's latents, and what the denoiser is shown; `background` are its latents, (B, 1, C, h, w), if kept."""
+        composite = self.encode(clip.composite)
+        background = (self.encode(clip.background[:, :1]) if background is None else background).expand_as(composite)
         masks = [
             pixel_unshuffle(one.flatten(0, 1), self.codec.factor).unflatten(0, one.shape[:2]) for one in (clip.robot, clip.object)
         ]
@@ -86,11 +121,11 @@ class DreamModel(torch.nn.Module):
 
         return run
 
-    def loss(self, clip: Clip, known: Tensor, chance: torch.Generator) -> Tensor:
-        """The objective's loss on a batch."""
+    def loss(self, clip: Clip, known: Tensor, chance: torch.Generator, latents: "Latents | None" = None) -> Tensor:
+        """The objective's loss on a batch; `latents` of what does not change from step to step, where they are kept."""
         with torch.no_grad():
-            composite, shown = self.shown(clip)
-            real = self.encode(clip.real)
+            composite, shown = self.shown(clip, None if latents is None else latents.background)
+            real = self.encode(clip.real) if latents is None else latents.real
         return self.objective.loss(self.network(composite, shown), real, composite, known, chance, self.options)
 
     @torch.no_grad()

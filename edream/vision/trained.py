@@ -7,7 +7,7 @@ import torch
 
 from edream.learn.checkpoint import fill
 from edream.vision.dreamer import DreamModel
-from edream.vision.variants import DreamOptions, Variant, device_of, new_model, without_weights
+from edream.vision.variants import DreamOptions, Variant, device_of, new_model
 
 CODEC = "codec.safetensors"
 
@@ -17,6 +17,11 @@ def file_of(variant: str) -> str:
     return f"{variant.replace(' ', '_')}.safetensors"
 
 
+def latents_of(episode: int) -> str:
+    """Where the stage `codec` leaves the latents of an episode."""
+    return f"latents/{episode:06d}.safetensors"
+
+
 def loaded(trained: Mapping[str, Any], options: DreamOptions, variant: Variant, seed: int) -> DreamModel:
     """A trained model, ready to draw from.
 
@@ -24,9 +29,9 @@ def loaded(trained: Mapping[str, Any], options: DreamOptions, variant: Variant, 
         trained: file name -> tensors, as the stage `dream` makes it.
 
     Raises:
-        EdreamError: the weights do not fit the options.
+        EdreamError: the weights do not fit the options, or pretrained ones, whose config says how the network is built, are gone.
     """
-    model = new_model(without_weights(options), variant, seed)
+    model = new_model(options, variant, seed)
     if CODEC in trained:
         fill(model.codec, {name: torch.from_numpy(array) for name, array in trained[CODEC].items()}, CODEC)
     name = file_of(variant.name)

@@ -1,14 +1,13 @@
 """The models that are trained side by side: the dream model, its baseline and its ablation, all of one size."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
-import numpy as np
 import torch
 
 from edream.core.errors import EdreamError
 from edream.learn.training import Schedule
-from edream.vision.clips import SOURCES, Clip, Jitter, Scenes, clip_of
+from edream.vision.clips import SOURCES, Jitter
 from edream.vision.dreamer import DreamModel, Part
 
 DREAM, REGRESSION, WITHOUT = "dream", "regression", "no objects"
@@ -84,49 +83,21 @@ def new_model(options: DreamOptions, variant: Variant, seed: int) -> DreamModel:
     return DreamModel.of(options.codec, options.denoiser, variant.objective, seed)
 
 
-@dataclass(frozen=True, eq=False)
-class Batches:
-    """The batch of each step, which follows from the seed and the step's number alone."""
-
-    scenes: Scenes
-    options: DreamOptions
-    variant: Variant
-    seed: int
-
-    def at(self, step: int) -> tuple[Clip, torch.Tensor, torch.Generator]:
-        """Clips, which of their frames are known, and a generator for the noise."""
-        rng = np.random.default_rng((self.seed, step))
-        long = [n for n, size in enumerate(self.scenes.lengths()) if not self.scenes.held[n] and size >= self.options.train_frames]
-        if not long:
-            raise EdreamError(
-                f"No training episode has {self.options.train_frames} images; lower dream.train_frames, or raise render.rate."
-            )
-        names, weights = list(self.variant.sources), np.array(list(self.variant.sources.values()))
-        count = self.options.batch
-        picked = []
-        for _ in range(count):
-            number = long[int(rng.integers(len(long)))]
-            first = int(rng.integers(self.scenes.lengths()[number] - self.options.train_frames + 1))
-            picked.append((number, first, str(rng.choice(names, p=weights / weights.sum()))))
-        clip = clip_of(self.scenes, picked, self.options.train_frames, self.options.jitter, rng)
-        known = np.zeros((count, self.options.train_frames), bool)
-        for row in np.flatnonzero(rng.random(count) < self.options.known):
-            known[row, : int(rng.integers(1, max(2, self.options.overlap + 1)))] = True
-        chance = torch.Generator().manual_seed(int(rng.integers(2**62)))
-        return clip, torch.from_numpy(known), chance
-
-
 def device_of(options: DreamOptions) -> torch.device:
     """Where to train.
 
     Raises:
         EdreamError: a GPU is asked for and there is none.
     """
-    if options.device == "cuda" and not torch.cuda.is_available():
+    return device_called(options.device)
+
+
+def device_called(name: str) -> torch.device:
+    """The device of a setting `dream.device`: auto, cpu or cuda.
+
+    Raises:
+        EdreamError: a GPU is asked for and there is none.
+    """
+    if name == "cuda" and not torch.cuda.is_available():
         raise EdreamError("dream.device is cuda, but torch finds no GPU here; use dream.device=auto.")
-    return torch.device("cuda" if options.device != "cpu" and torch.cuda.is_available() else "cpu")
-
-
-def without_weights(options: DreamOptions) -> DreamOptions:
-    """The same, to build networks whose weights come from elsewhere."""
-    return replace(options, codec=replace(options.codec, weights=None), denoiser=replace(options.denoiser, weights=None))
+    return torch.device("cuda" if name != "cpu" and torch.cuda.is_available() else "cpu")

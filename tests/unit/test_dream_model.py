@@ -11,10 +11,11 @@ import torch
 from edream.core.errors import EdreamError
 from edream.learn.checkpoint import arrays, fill, read_weights, weights_digest
 from edream.learn.training import AVERAGE, Schedule, new_state, part, train
+from edream.vision.batches import Batches
 from edream.vision.clips import clip_of, composed, images
 from edream.vision.dreamer import Dreamer, DreamModel, Part, Render, finished
 from edream.vision.judging import drawn, long_video, ready_metrics, real_clips, regions, scores, silhouette_iou
-from edream.vision.variants import DREAM, REGRESSION, WITHOUT, Batches, DreamOptions, new_model, variants
+from edream.vision.variants import DREAM, REGRESSION, WITHOUT, DreamOptions, new_model, variants
 from tests.dreams import small_scenes
 
 TINY = DreamOptions(
@@ -40,8 +41,8 @@ def trained(scenes, options: DreamOptions, cuts: tuple[int, ...], variant: int =
     batches = Batches(scenes, options, chosen, 0)
 
     def loss(step: int) -> torch.Tensor:
-        clip, known, chance = batches.at(step)
-        return model.loss(clip, known, chance)
+        batch = batches.at(step)
+        return model.loss(batch.clip, batch.known, batch.chance)
 
     state = new_state(model.denoiser)
     for first, last in zip((0, *cuts), (*cuts, options.train.steps), strict=True):

@@ -1,0 +1,148 @@
+"""Training in several processes, kept latents, gradient checkpointing, narrow numbers: flags that do what they say."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from edream.core.errors import EdreamError
+from edream.learn import ranks
+from edream.learn.checkpoint import weights_digest
+from edream.learn.training import Schedule
+from edream.stages.dream import Trainer
+from edream.vision.batches import Batches, KeptLatents
+from edream.vision.clips import images as as_tensor
+from edream.vision.dreamer import Part, encoded, new_codec
+from edream.vision.variants import DreamOptions, device_of, new_model, variants
+from tests.dreams import small_scenes
+
+TINY = DreamOptions(
+    codec=Part("pixel_unshuffle", {"factor": 4}),
+    denoiser=Part("unet", {"widths": (16, 24), "heads": 2}),
+    objective=Part("bridge"),
+    train=Schedule(steps=4, rate=4e-3, warmup=2, average=0.9),
+    frames=6,
+    train_frames=4,
+    batch=4,
+    overlap=2,
+)
+
+
+@pytest.fixture(autouse=True)
+def one_thread() -> None:
+    torch.set_num_threads(1)
+
+
+def trainer(folder: Path, options: DreamOptions) -> Trainer:
+    folder.mkdir(parents=True, exist_ok=True)
+    return Trainer(small_scenes(folder / "images"), None, {}, options, 0, variants(options, ("real", "sim", "crop")))
+
+
+def _one_of_two(number: int, folder: Path) -> None:
+    """One process: leads or follows the same training twice, then writes down what it has."""
+    torch.set_num_threads(1)
+    torch.distributed.init_process_group("gloo", f"file://{folder}/meet", rank=number, world_size=2)
+    digests = []
+    for turn in range(2):
+        one = trainer(folder / f"{number}-{turn}", TINY)
+        if number == 0:
+            state = one.begin(0)
+            for first, last in ((0, 2), (2, 4)):
+                ranks.lead((0, first, last), state)
+                state, _ = one.piece(state, first, last)
+            torch.distributed.broadcast(torch.tensor([ranks.STOP, 0, 0]), 0)
+        else:
+            for which, first, last in ranks.orders():
+                state, _ = one.piece(ranks.followed(one.begin(which)), first, last)
+        digests.append(weights_digest(state))
+    shares = [batch.clip.real.shape[0] for batch in [Batches(one.scenes, TINY, one.variants[0], 0).at(0)]]
+    (folder / f"{number}.json").write_text(json.dumps({"digests": digests, "shares": shares}))
+    torch.distributed.destroy_process_group()
+
+
+def test_two_processes_train_one_network_and_give_the_same_bytes_each_time(tmp_path: Path) -> None:
+    torch.multiprocessing.spawn(_one_of_two, (tmp_path,), nprocs=2)
+    one, other = (json.loads((tmp_path / f"{number}.json").read_text()) for number in range(2))
+    assert len({*one["digests"], *other["digests"]}) == 1, "both have the same weights, and have them again"
+    assert one["shares"] == other["shares"] == [2], "each has half of the batch"
+    alone = trainer(tmp_path / "alone", TINY)
+    state, _ = alone.piece(alone.begin(0), 0, 4)
+    assert weights_digest(state) != one["digests"][0], "chances are each process' own, so the number of processes counts"
+
+
+def test_a_batch_that_cannot_be_shared_is_a_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ranks, "world", lambda: 3)
+    with pytest.raises(EdreamError, match="multiple of 3"):
+        Batches(small_scenes(tmp_path), TINY, variants(TINY, ("real",))[0], 0).at(0)
+
+
+def test_kept_latents_train_as_the_images_do(tmp_path: Path) -> None:
+    options = replace(TINY, codec=Part("kl_vae", {"widths": (32, 32)}))
+    scenes, codec = small_scenes(tmp_path / "images"), new_codec(options.codec, 0).eval()
+    whole = [encoded(codec, as_tensor(one["real"])).numpy() for one in scenes.layers]
+    places = [encoded(codec, as_tensor(one)[None]).numpy() for one in scenes.references]
+    (tmp_path / "kept").mkdir()
+    kept = KeptLatents.gather(({"real": r, "reference": p} for r, p in zip(whole, places, strict=True)), tmp_path / "kept")
+    found = []
+    for latents in (None, kept):
+        one = Trainer(scenes, latents, {}, options, 0, variants(options, ("real", "sim", "crop")))
+        state, losses = one.piece(one.begin(0), 0, 2)
+        found.append((state, losses))
+    assert np.allclose(found[0][1], found[1][1], rtol=1e-4)
+    assert all(np.allclose(found[0][0][name], found[1][0][name], atol=1e-3) for name in found[0][0])
+
+
+@pytest.mark.parametrize("kind", ["unet", "svd"])
+def test_gradient_checkpointing_keeps_less_and_gives_the_same_gradients(kind: str, tmp_path: Path) -> None:
+    small = {"unet": {"widths": (16, 24), "heads": 2}, "svd": {"widths": (32, 32), "cross": 8, "heads": 2}}[kind]
+    objective = Part("edm") if kind == "svd" else Part("bridge")
+    batch = Batches(small_scenes(tmp_path), TINY, variants(TINY, ("real",))[0], 0).at(0)
+    found, kept = [], []
+    for save in (False, True):
+        options = replace(TINY, denoiser=Part(kind, small | {"save_memory": save}), objective=objective)
+        model = new_model(options, variants(options, ("real",))[0], 0)
+        with torch.no_grad():
+            for tensor in model.denoiser.parameters():
+                tensor.add_(0.02 * torch.randn(tensor.shape, generator=torch.Generator().manual_seed(1)))
+        sizes: list[int] = []
+
+        def count(tensor: torch.Tensor, sizes: list[int] = sizes) -> torch.Tensor:
+            sizes.append(tensor.numel())
+            return tensor
+
+        with torch.autograd.graph.saved_tensors_hooks(count, lambda tensor: tensor):
+            model.train()
+            loss = model.loss(batch.clip, batch.known, torch.Generator().manual_seed(0))
+        kept.append(sum(sizes))
+        loss.backward()
+        found.append(torch.cat([p.grad.flatten() for p in model.denoiser.parameters() if p.grad is not None]))
+    assert torch.allclose(found[0], found[1], atol=1e-5) and found[0].any()
+    assert kept[1] < 0.6 * kept[0]
+
+
+def test_narrow_numbers_are_used_inside_and_loss_and_state_stay_wide(tmp_path: Path) -> None:
+    seen: set[torch.dtype] = set()
+    options = replace(TINY, train=replace(TINY.train, precision="bfloat16"))
+    one = trainer(tmp_path, options)
+    begun = one.begin(0)
+    assert one._at_work is not None
+    model = one._at_work[1]
+    hook = model.denoiser.enter.register_forward_hook(lambda module, given, out: seen.add(out.dtype))
+    state, losses = one.piece(begun, 0, 2)
+    hook.remove()
+    assert seen == {torch.bfloat16} and np.isfinite(losses).all()
+    assert {value.dtype for value in state.values()} == {np.dtype(np.float32)}
+    wide = trainer(tmp_path / "wide", TINY)
+    other, same = wide.piece(wide.begin(0), 0, 2)
+    assert not np.array_equal(losses, same) and np.allclose(losses, same, rtol=0.1)
+    assert weights_digest(state) != weights_digest(other)
+
+
+def test_a_gpu_that_is_asked_for_and_not_there_is_a_sentence() -> None:
+    if torch.cuda.is_available():
+        pytest.skip("there is one")
+    with pytest.raises(EdreamError, match="no GPU"):
+        device_of(replace(TINY, device="cuda"))
