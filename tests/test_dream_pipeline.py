@@ -113,6 +113,9 @@ def test_a_training_that_is_killed_goes_on_and_gives_the_same_weights(made, reco
     assert not list((runs / "dream").glob("*/manifest.json")), "it was killed in the middle of its training"
     cfg = settings(recorded, runs)
     assert pipeline.make("dream", cfg)["summary.json"] == made[1]["dream"]["summary.json"]
+    again, once = pipeline.make("score", cfg), made[1]["score"]
+    assert again.digest == once.digest, "the same frames and numbers"
+    assert again["strip-0.png"] == once["strip-0.png"] and again["scores.json"] == once["scores.json"]
 
 
 def test_a_camera_that_sees_no_robot_is_a_sentence(recorded: Path, tmp_path: Path) -> None:
@@ -140,3 +143,134 @@ def test_video_without_a_robot_model_becomes_conditions_too(recorded: Path, tmp_
     )
     made = pipeline.make("condition", cfg)
     assert made["summary.json"]["object_sources"] == ["real", "crop"] and made["summary.json"]["frames"] == 5 * 16
+
+
+@pytest.fixture(scope="module")
+def two_cameras(recorded: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The recordings with a second camera, which is the first one's image upside down, and a file that says where both stand."""
+    import shutil
+
+    import h5py
+
+    folder = tmp_path_factory.mktemp("two") / "rec"
+    shutil.copytree(recorded, folder)
+    for path in folder.glob("*.hdf5"):
+        with h5py.File(path, "r+") as opened:
+            images = opened["observations/images"]
+            images.create_dataset("cam_low", data=images["cam_high"][:][:, ::-1, ::-1])
+    cameras = json.loads(Path(f"{recorded}.cameras.json").read_text())
+    one = cameras["cam_high"]
+    pose, matrix = np.array(one["extrinsics"]), np.array(one["intrinsics"])
+    pose[:3, :2] *= -1.0  # turned by half a turn about its axis
+    matrix[0, 2], matrix[1, 2] = one["width"] - matrix[0, 2], one["height"] - matrix[1, 2]
+    cameras["cam_low"] = one | {"extrinsics": pose.tolist(), "intrinsics": matrix.tolist()}
+    Path(f"{folder}.cameras.json").write_text(json.dumps(cameras))
+    return folder
+
+
+def test_each_camera_has_its_own_view_plate_and_masks_and_no_recording_is_on_both_sides(
+    two_cameras: Path, recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from edream.ingest.layered import images_of, layered_episodes
+    from edream.stages import render
+
+    words = [
+        f"camera.file={two_cameras}.cameras.json",
+        f"render.scene={recorded}.scene.json",
+        "camera.name=all",
+        "executor.workers=2",
+    ]
+    base = [f"data={two_cameras}", "robot=pan_tilt", "seed=1", *words, *SMALL]
+    cfg = config.compose([*base, f"runs={tmp_path / 'runs'}"])
+    rendered, condition = pipeline.make("render", cfg), pipeline.make("condition", cfg)
+    views = {one.name: images_of(one, ("real", "robot", "masks")) for one in layered_episodes(condition)}
+    assert len(views) == 10 and {"episode_0.cam_high", "episode_0.cam_low"} <= set(views)
+    assert rendered["summary.json"]["views"]["episode_0.cam_low"] == ["episode_0", "cam_low"]
+    high, low = views["episode_0.cam_high"], views["episode_0.cam_low"]
+    assert np.array_equal(high["real"], low["real"][:, ::-1, ::-1])
+    assert np.abs(high["robot"].astype(int) - low["robot"][:, ::-1, ::-1]).mean() < 1.0, "each is rendered from its own pose"
+    one, other = high["masks"][..., 1] > 127, low["masks"][:, ::-1, ::-1, 1] > 127
+    assert (one & other).sum() / (one | other).sum() > 0.8
+    held = condition["summary.json"]["held"]
+    assert held and {name.partition(".")[0] for name in held} & {n.partition(".")[0] for n in set(views) - set(held)} == set()
+    monkeypatch.setattr(render, "MANY", 0)
+    again = pipeline.make("render", config.compose([*base, f"runs={tmp_path / 'other'}"]))
+    assert again.digest == rendered.digest, "several processes render the same bytes as one"
+
+
+@pytest.fixture(scope="module")
+def svd_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A tiny Stable Video Diffusion with random weights, as diffusers writes it: `vae` with the temporal decoder, and `unet`."""
+    import torch
+    from diffusers.models.autoencoders.autoencoder_kl_temporal_decoder import AutoencoderKLTemporalDecoder
+    from diffusers.models.unets.unet_spatio_temporal_condition import UNetSpatioTemporalConditionModel
+
+    folder = tmp_path_factory.mktemp("svd")
+    torch.manual_seed(0)
+    AutoencoderKLTemporalDecoder(
+        down_block_types=("DownEncoderBlock2D",) * 2, block_out_channels=(32, 32), layers_per_block=1
+    ).save_pretrained(folder / "vae")
+    UNetSpatioTemporalConditionModel(
+        in_channels=8,
+        down_block_types=("CrossAttnDownBlockSpatioTemporal", "DownBlockSpatioTemporal"),
+        up_block_types=("UpBlockSpatioTemporal", "CrossAttnUpBlockSpatioTemporal"),
+        block_out_channels=(32, 32),
+        addition_time_embed_dim=16,
+        projection_class_embeddings_input_dim=48,
+        layers_per_block=1,
+        cross_attention_dim=8,
+        num_attention_heads=(2, 2),
+    ).save_pretrained(folder / "unet")
+    return folder
+
+
+PRETRAINED = ["dream=svd", "dream.device=cpu", "dream.train.steps=2", "dream.checkpoint=1", "dream.batch=1", "dream.train_frames=4"]
+PRETRAINED += ["dream.frames=6", "dream.overlap=2", "score.clips=2", "score.long=0", "score.steps=[]", "score.metrics=[psnr]"]
+
+
+def test_stable_video_diffusions_own_weights_are_trained_on_and_scored_from_a_local_folder(
+    made, recorded: Path, svd_folder: Path
+) -> None:
+    words = [f"dream.codec.weights={svd_folder}/vae", f"dream.denoiser.weights={svd_folder}/unet"]
+    runs = str(made[0].runs)
+    base = [word for word in SMALL if not word.startswith(("dream", "score"))]
+    beside = [
+        f"camera.file={recorded}.cameras.json",
+        f"render.scene={recorded}.scene.json",
+        f"masks.truth={recorded}.truth.masks.npz",
+    ]
+    cfg = config.compose(["robot=pan_tilt", f"data={recorded}", f"runs={runs}", "seed=1", *beside, *base, *PRETRAINED, *words])
+    codec, score = pipeline.make("codec", cfg), pipeline.make("score", cfg)
+    latents = codec["latents/000000.safetensors"]
+    assert latents["real"].shape == (16, 4, 16, 16) and latents["reference"].shape == (1, 4, 16, 16)
+    assert score["summary.json"]["codec_psnr"] == codec["summary.json"]["psnr"] and np.isfinite(score["summary.json"]["psnr"])
+    other = pipeline.make("dream", config.compose([*_words(cfg), *beside, *base, *PRETRAINED, *words, "dream.train.rate=0.001"]))
+    assert other.manifest["parents"]["codec"] == codec.key, "other training settings find the same latents"
+
+
+def _words(cfg: DictConfig) -> list[str]:
+    return ["robot=pan_tilt", f"data={cfg.data}", f"runs={cfg.runs}", "seed=1"]
+
+
+@pytest.mark.slow
+def test_two_processes_of_torchrun_go_from_conditions_to_a_page(made, recorded: Path) -> None:
+    words = [
+        f"camera.file={recorded}.cameras.json",
+        f"render.scene={recorded}.scene.json",
+        f"masks.truth={recorded}.truth.masks.npz",
+    ]
+    command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node=2", "--no-python", sys.executable]
+    command += ["-c", "from edream.cli import main; main()", "dream", "--json", "robot=pan_tilt", f"data={recorded}"]
+    command += [
+        f"runs={made[0].runs}",
+        "seed=1",
+        *words,
+        *SMALL,
+        "dream.baseline=false",
+        "dream.ablation=false",
+        "score.metrics=[psnr]",
+    ]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=280, env=os.environ | {"OMP_NUM_THREADS": "1"})
+    assert done.returncode == 0, done.stderr[-2000:]
+    told = json.loads(done.stdout)
+    assert Path(told["report"]).is_file() and told["weights_digest"] != made[1]["dream"]["summary.json"]["weights_digest"]

@@ -25,6 +25,7 @@ COLUMNS = (  # metric, region, heading
     ("flicker", "background", "flicker (1 is right)"),
     ("silhouette_iou", "robot", "silhouette IoU"),
 )
+MOVING = {"moving-worst.png": "Worst clip", "moving.png": "Median clip", "moving-best.png": "Best clip"}
 COLOURS = (AFTER, BEFORE, PUBLISHED, COMMAND)
 
 
@@ -48,13 +49,17 @@ def dream_page(made: Mapping[str, Mapping[str, Any]], robot: str) -> str:
         "rows": [{"label": row["label"], "cells": [_cell(row, m, r) for m, r, _ in columns]} for row in scores["rows"]],
         "learned": learned_words(scores),
         "long": scores["long"],
-        "moving": _picture("moving", "In motion", " | ".join(pictures["moving"]), scored["moving.png"]),
+        "moving": [
+            _labelled(name, f"{title}: {pictures['moving_psnr'][name]:.1f} dB", pictures["moving"], scored[name], "above")
+            for name, title in MOVING.items()
+        ],
         "strips": [
-            _picture(
+            _labelled(
                 f"strip-{rank}",
                 f"{'Worst clip' if rank == 0 else f'Number {rank + 1} from the bottom'}: {psnr:.1f} dB",
-                f"From top to bottom: {'; '.join(pictures['rows'])}.",
+                pictures["rows"],
                 scored[f"strip-{rank}.png"],
+                "beside",
             )
             for rank, psnr in enumerate(pictures["psnr"])
         ],
@@ -104,6 +109,16 @@ def _cell(row: Mapping[str, Any], metric: str, region: str) -> str:
 
 def _plate_words(summary: Mapping[str, Any]) -> str:
     return f"Taken from {summary['plate_from']}."
+
+
+def _labelled(name: str, title: str, labels: Sequence[str], png: bytes, where: str) -> Figure:
+    """Clips in one picture, each called by name: `above` for columns, `beside` for rows."""
+    source = base64.b64encode(png).decode()
+    words = Markup("").join(Markup("<span>{}</span>").format(label) for label in labels)
+    drawing = Markup(
+        '<div class="clips {}"><div class="names">{}</div><img class="pixels" alt="{}" src="data:image/png;base64,{}"></div>'
+    )
+    return Figure(name, title, "", drawing.format(where, words, f"{title}: {', '.join(labels)}", source), True)
 
 
 def _picture(name: str, title: str, caption: str, png: bytes, wide: bool = True) -> Figure:

@@ -9,7 +9,6 @@ import numpy as np
 from edream.core.errors import EdreamError
 from edream.core.segmenter import Footage, Masks, Segmenter
 
-SIDE = 1024
 MEAN, SPREAD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 
 
@@ -54,9 +53,7 @@ def _grounded(transformers: Any, folder: Path, image: np.ndarray, prompt: str) -
 
     if not prompt or not folder.is_dir():
         raise EdreamError(f"Grounding DINO needs masks.options.prompt and weights in {folder}; or give masks.options.boxes.")
-    model = transformers.AutoModelForZeroShotObjectDetection.from_pretrained(
-        folder, local_files_only=True, use_safetensors=True
-    ).eval()
+    model = _read(transformers.AutoModelForZeroShotObjectDetection, folder)
     words = transformers.AutoTokenizer.from_pretrained(folder, local_files_only=True)(prompt, return_tensors="pt")
     with torch.no_grad():
         out = model(pixel_values=_pixels(image[None], 800), **words)
@@ -75,14 +72,15 @@ def _followed(transformers: Any, folder: Path, images: np.ndarray, boxes: list[l
     from transformers.models.sam2_video.modeling_sam2_video import Sam2VideoInferenceSession  # type: ignore[import-not-found]
 
     device = "cuda" if torch.cuda.is_available() else "cpu"
-    model = transformers.Sam2VideoModel.from_pretrained(folder, local_files_only=True, use_safetensors=True).eval().to(device)
+    model = _read(transformers.Sam2VideoModel, folder).to(device)
+    side = int(model.config.image_size)
     count, h, w = images.shape[:3]
     session = Sam2VideoInferenceSession(
-        video=_pixels(images, SIDE).to(device), video_height=h, video_width=w, inference_device=device, dtype=torch.float32
+        video=_pixels(images, side).to(device), video_height=h, video_width=w, inference_device=device, dtype=torch.float32
     )
     for number, box in enumerate(boxes):
         index = session.obj_id_to_idx(number)
-        scaled = torch.tensor([[[box[0] / w, box[1] / h], [box[2] / w, box[3] / h]]], device=device)[None] * SIDE
+        scaled = torch.tensor([[[box[0] / w, box[1] / h], [box[2] / w, box[3] / h]]], device=device)[None] * side
         session.add_point_inputs(index, 0, {"point_coords": scaled, "point_labels": torch.tensor([[[2, 3]]], device=device)})
         session.obj_with_new_inputs.append(number)
     masks = np.zeros((count, h, w), bool)
@@ -91,6 +89,16 @@ def _followed(transformers: Any, folder: Path, images: np.ndarray, boxes: list[l
             large = torch.nn.functional.interpolate(found.pred_masks.float(), (h, w), mode="bilinear", align_corners=False)
             masks[found.frame_idx] = (large > 0).any(dim=0)[0].cpu().numpy()
     return masks
+
+
+def _read(kind: Any, folder: Path) -> Any:
+    """A model from a local folder, its weights from safetensors."""
+    from safetensors import SafetensorError
+
+    try:
+        return kind.from_pretrained(folder, local_files_only=True, use_safetensors=True).eval()
+    except (OSError, ValueError, KeyError, RuntimeError, SafetensorError) as error:
+        raise EdreamError(f"{folder} holds no model that transformers reads: {' '.join(str(error).split())[:300]}.") from error
 
 
 def _pixels(images: np.ndarray, side: int) -> Any:

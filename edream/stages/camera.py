@@ -15,6 +15,7 @@ from edream.ingest.stored import stored_episodes
 from edream.sim.robot import RobotModel
 from edream.vision.frames import chosen_camera
 from edream.vision.pose import CameraGuess, fit_to_marks, fit_to_silhouettes, read_marks
+from edream.vision.views import chosen_cameras
 
 CAMERAS = "cameras.json"
 
@@ -23,7 +24,7 @@ CAMERAS = "cameras.json"
 class CameraOptions:
     """Where the camera comes from; see `conf/camera/default.yaml` for each."""
 
-    name: str | None = None
+    name: str | tuple[str, ...] | None = None
     source: Literal["auto", "recording", "file", "marks", "silhouettes"] = "auto"
     file: Path | None = None
     marks: Path | None = None
@@ -51,16 +52,20 @@ def run(inputs: Mapping[str, Artifact], config: CameraConfig, work: Work) -> Bun
     """Find the camera and say how sure it is."""
     options = config.camera
     episodes = [one for one in stored_episodes(inputs["ingest"]) if one.videos]
-    name = chosen_camera(tuple(episodes[0].videos) if episodes else (), options.name)
-    source = options.source if options.source != "auto" else _best_source(episodes, name, options)
+    there = tuple(episodes[0].videos) if episodes else ()
+    chosen_camera(there, None)
+    names = chosen_cameras(there, options.name)
     robot = config.robot.load()
-    camera, quality = _found(source, name, episodes, robot, options, work.seed("camera"))
-    told = "".join(f"; {what.replace('_', ' ')} {value:.3g}" for what, value in quality.items())
-    sentence = f"Camera {name!r} from {WORDS[source]}{told}."
-    return {
-        CAMERAS: as_json({name: camera}),
-        "summary.json": {"sentence": sentence, "cameras": CAMERAS, "camera": name, "source": source, **quality},
-    }
+    cameras, told, each = {}, [], {}
+    for name in names:
+        source = options.source if options.source != "auto" else _best_source(episodes, name, options)
+        seed = work.seed("camera" if name == names[0] else f"camera {name}")
+        cameras[name], quality = _found(source, name, episodes, robot, options, seed)
+        each[name] = {"source": source, **quality}
+        words = "".join(f"; {what.replace('_', ' ')} {value:.3g}" for what, value in quality.items())
+        told.append(f"Camera {name!r} from {WORDS[source]}{words}.")
+    summary = {"sentence": " ".join(told), "cameras": CAMERAS, "camera": names[0], **each[names[0]]}
+    return {CAMERAS: as_json(cameras), "summary.json": summary | ({"each": each} if len(names) > 1 else {})}
 
 
 WORDS = {

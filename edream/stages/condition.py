@@ -1,7 +1,7 @@
 """Condition: what the dream model is shown of each episode, layer by layer, and what it should make of it."""
 
-from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -18,6 +18,7 @@ from edream.vision.grain import measured_grain
 from edream.vision.objects import Album, Crop, corners_of
 from edream.vision.plate import brightness
 from edream.vision.scene_file import read_scene
+from edream.vision.views import plate_file, view_of
 
 
 @dataclass(frozen=True)
@@ -45,22 +46,35 @@ class ConditionConfig:
     seed: int
 
 
+@dataclass(frozen=True, eq=False)
+class Place:
+    """What the views of one camera share.
+
+    Attributes:
+        plate: the background.
+        camera: in the images' size; None where it moves or where there is no robot model.
+        album: crops of the object, or None.
+    """
+
+    plate: np.ndarray
+    camera: Camera | None
+    album: Album | None = None
+
+
 def run(inputs: Mapping[str, Artifact], config: ConditionConfig, work: Work) -> Bundle:
-    """Join renderings, masks and recorded images into one sequence of layers an episode."""
-    plate = decode_image(inputs["masks"]["plate.png"], "plate")
-    scene = read_scene(config.render.scene)
-    camera = None
-    if "camera" in inputs:
-        (_, native), *_ = from_json(inputs["camera"]["cameras.json"], "cameras.json").items()
-        camera = None if native.moves else native.resized(*plate.shape[:2])  # a moved crop needs one view
-    names = [episode.name for episode in layered_episodes(inputs["render"])]
-    held = held_out(names, config.condition.holdout_fraction, config.seed)
-    album = _album(inputs, plate, scene, camera, held)
+    """Join renderings, masks and recorded images into one sequence of layers a view."""
+    rendered, scene = inputs["render"]["summary.json"], read_scene(config.render.scene)
+    views = {episode.name: view_of(rendered, episode.name) for episode in layered_episodes(inputs["render"])}
+    recordings = list(dict.fromkeys(recording for recording, _ in views.values()))
+    apart = held_out(recordings, config.condition.holdout_fraction, config.seed)
+    held = {name for name, (recording, _) in views.items() if recording in apart}
+    places = _places(inputs, scene, views, held)
     grain = measured_grain(layers["real"] for episode, layers in _joined(inputs) if episode.name not in held)
 
     def one(item: tuple[Episode, dict[str, np.ndarray]], rng: np.random.Generator) -> Bundle:
         episode, layers = item
-        made = _layers(episode, layers, plate, album, scene, camera, config.condition.reference)
+        recording, camera = views[episode.name]
+        made = _layers(episode, layers, places[camera], _tracks(scene, recording, places[camera]), config.condition.reference)
         times = episode.videos["robot"].times
         videos = {name: layer(times[: len(images)], images) for name, images in made.items()}
         return layered_shard(
@@ -69,7 +83,8 @@ def run(inputs: Mapping[str, Artifact], config: ConditionConfig, work: Work) -> 
 
     bundle, told = layered_bundle(work.shards("episodes", _joined(inputs), one, parallel=False))
     frames = sum(t["frames"] for t in told)
-    sources = ["real"] + (["crop"] if album is not None else []) + (["sim"] if scene.tracks else [])
+    crops = any(place.album is not None for place in places.values())
+    sources = ["real"] + (["crop"] if crops else []) + (["sim"] if scene.tracks else [])
     summary = {
         "sentence": f"{frames} images of {len(told)} episodes, objects from {', '.join(sources)}.",
         "frames": frames,
@@ -101,51 +116,63 @@ def _joined(inputs: Mapping[str, Artifact]) -> Iterator[tuple[Episode, dict[str,
         yield rendered, {**layers, "real": found["real"], "found": found["object"][..., 0]}
 
 
-def _poses(scene: Scene, episode: Episode, time: float, camera: Camera | None) -> np.ndarray | None:
-    """Corners of the one tracked object; None where there is none or several."""
-    poses = scene.at(episode.name, time)
-    if camera is None or len(scene.objects) != 1 or not poses:
-        return None
-    return corners_of(scene.objects[0], poses[scene.objects[0].name], camera)
-
-
-def _album(
-    inputs: Mapping[str, Artifact], plate: np.ndarray, scene: Scene, camera: Camera | None, held: Collection[str]
-) -> Album | None:
-    """Crops of the object in the plate's light, from the episodes that are not held out."""
-    found = []
+def _places(
+    inputs: Mapping[str, Artifact], scene: Scene, views: Mapping[str, tuple[str, str]], held: Collection[str]
+) -> dict[str, Place]:
+    """Plate, camera and album of each camera; crops are in the plate's light, from the episodes that are not held out."""
+    cameras = tuple(dict.fromkeys(camera for _, camera in views.values()))
+    found = {}
+    for name in cameras:
+        plate = decode_image(inputs["masks"][plate_file(name, cameras)], "plate")
+        native = from_json(inputs["camera"]["cameras.json"], "cameras.json")[name] if "camera" in inputs else None
+        camera = None if native is None or native.moves else native.resized(*plate.shape[:2])  # a moved crop needs one view
+        found[name] = Place(plate, camera)
+    crops: dict[str, list[Crop]] = {name: [] for name in cameras}
     for episode, layers in _joined(inputs):
-        if episode.name in held:
-            continue
-        rows = range(0, len(layers["real"]), 5)
-        real = layers["real"][rows].astype(np.float32)
-        lit = real * brightness(real, plate.astype(np.float32))[:, None, None]
-        for row, image in zip(rows, np.clip(np.round(lit), 0, 255).astype(np.uint8), strict=True):
-            mask = (layers["found"][row] > 127).astype(np.uint8)
-            corners = _poses(scene, episode, float(episode.videos["robot"].times[row]), camera)
-            found.append(Crop(image, mask, corners, episode.name))
-    return Album.of(found)
+        if episode.name not in held:
+            recording, name = views[episode.name]
+            crops[name] += _crops(episode, layers, found[name], _tracks(scene, recording, found[name]))
+    return {name: replace(place, album=Album.of(crops[name])) for name, place in found.items()}
+
+
+Tracks = Callable[[float], np.ndarray | None]
+"""Corners of the one tracked object's bounding box at a time [s]; None where there is none or several."""
+
+
+def _tracks(scene: Scene, recording: str, place: Place) -> Tracks:
+    def corners(time: float) -> np.ndarray | None:
+        poses = scene.at(recording, time)
+        if place.camera is None or len(scene.objects) != 1 or not poses:
+            return None
+        return corners_of(scene.objects[0], poses[scene.objects[0].name], place.camera)
+
+    return corners
+
+
+def _crops(episode: Episode, layers: Mapping[str, np.ndarray], place: Place, tracks: Tracks) -> list[Crop]:
+    rows = range(0, len(layers["real"]), 5)
+    real = layers["real"][rows].astype(np.float32)
+    lit = real * brightness(real, place.plate.astype(np.float32))[:, None, None]
+    found = []
+    for row, image in zip(rows, np.clip(np.round(lit), 0, 255).astype(np.uint8), strict=True):
+        mask = (layers["found"][row] > 127).astype(np.uint8)
+        found.append(Crop(image, mask, tracks(float(episode.videos["robot"].times[row])), episode.name))
+    return found
 
 
 def _layers(
-    episode: Episode,
-    layers: dict[str, np.ndarray],
-    plate: np.ndarray,
-    album: Album | None,
-    scene: Scene,
-    camera: Camera | None,
-    reference: str,
+    episode: Episode, layers: Mapping[str, np.ndarray], place: Place, tracks: Tracks, reference: str
 ) -> dict[str, np.ndarray]:
     """The stored layers: real, condition (robot and recorded object pixels before black), robot, masks (robot, object as segmented,
     robot where the simulated object does not hide it), object_sim, object_crop, object_masks (simulated, crop),
     reference (one image)."""
-    real, found = layers["real"], layers["found"]
+    real, found, plate, album = layers["real"], layers["found"], place.plate, place.album
     robot, alone, both = layers["robot"], layers["masks"][..., 0], layers["masks"][..., 2]
     light = 1.0 / brightness(real[:1].astype(np.float32), plate.astype(np.float32))[0]
     crops, shares = np.zeros_like(real), np.zeros_like(found)
     if album is not None:
         for i, time in enumerate(episode.videos["robot"].times):
-            corners = _poses(scene, episode, float(time), camera)
+            corners = tracks(float(time))
             mask = (found[i] > 127).astype(np.uint8) if corners is None else None
             colour, shares[i] = album.seen(corners, mask, episode.name)
             crops[i] = np.clip(np.round(colour * (1.0 if reference == "plate" else light)), 0, 255).astype(np.uint8)

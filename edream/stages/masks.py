@@ -1,6 +1,6 @@
 """Masks: the background plate, and where objects are to be seen in each image."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,8 +18,9 @@ from edream.ingest.stored import stored_episodes
 from edream.ingest.video import decode_image, encode_image
 from edream.vision.frames import frames_at, resized
 from edream.vision.plate import plate_of
+from edream.vision.views import plate_file, view_of
 
-PLATE, OVERLAY = "plate.png", "overlay.png"
+OVERLAY = "overlay.png"
 
 
 @dataclass(frozen=True)
@@ -46,22 +47,17 @@ def run(inputs: Mapping[str, Artifact], config: MasksConfig, work: Work) -> Bund
     """Plate first, then every episode; where the truth is known, how good the masks are."""
     options = config.masks
     entry = catalog.load("segmenters", options.segmenter, Segmenter)
-    name = inputs["render"]["summary.json"]["camera"]
-    given = options.plate
-    sample = next(_footage(inputs, name))[1]["robot"]
-    height, width = sample.shape[1:3]
-    if given is not None:
-        if not given.is_file():
-            raise EdreamError(f"There is no plate at {given}; expected an image of the scene without robot and objects.")
-        plate = resized(decode_image(given.read_bytes(), str(given)), height, width)
-    else:
-        plate = plate_of((layers["real"], layers["masks"][..., 0]) for _, layers in _footage(inputs, name))
+    rendered = inputs["render"]["summary.json"]
+    cameras = tuple(dict.fromkeys(camera for _, camera in rendered.get("views", {"": ("", rendered["camera"])}).values()))
+    height, width = next(_footage(inputs))[1]["robot"].shape[1:3]
+    plates = {name: _plate(inputs, options.plate, name, cameras, height, width) for name in cameras}
     truth = _truth(options.truth)
     extra = dict(options.options) | {k: v for k, v in (("folder", options.folder), ("weights", options.weights)) if v is not None}
 
     def one(item: tuple[Episode, dict[str, np.ndarray]], rng: np.random.Generator) -> Bundle:
         episode, layers = item
-        own = plate_of([(layers["real"], layers["masks"][..., 0])], each=40) if options.each else plate
+        common = plates[view_of(rendered, episode.name)[1]]
+        own = plate_of([(layers["real"], layers["masks"][..., 0])], each=40) if options.each else common
         footage = Footage(episode.name, layers["real"], own, layers["masks"][..., 0], layers["masks"][..., 1])
         found = entry.masks(footage, extra)
         times = episode.videos["robot"].times
@@ -72,14 +68,15 @@ def run(inputs: Mapping[str, Artifact], config: MasksConfig, work: Work) -> Bund
         strip = _strip(layers["real"], found)
         return dict(layered_shard(episode, kept, work.folder("writing"), about)) | {"strip.png": strip}
 
-    shards = work.shards("episodes", _footage(inputs, name), one, parallel=False)
+    shards = work.shards("episodes", _footage(inputs), one, parallel=False)
     bundle, told = layered_bundle(shards)
     overlay = np.concatenate([decode_image(shards[i]["strip.png"], "strip") for i in range(min(3, len(shards)))])
-    bundle |= {PLATE: encode_image(plate, "png"), OVERLAY: encode_image(overlay, "png")}
+    bundle |= {OVERLAY: encode_image(overlay, "png")}
+    bundle |= {plate_file(name, cameras): encode_image(plate, "png") for name, plate in plates.items()}
     summary = {
         "segmenter": options.segmenter,
-        "plate": PLATE,
-        "plate_from": "a file" if given is not None else "the episodes",
+        "plate": plate_file(cameras[0], cameras),
+        "plate_from": "a file" if options.plate is not None else "the episodes",
         "object_share": float(np.mean([t["share"] for t in told])),
         "object_seen": float(np.mean([t["seen"] for t in told])),
     }
@@ -91,12 +88,28 @@ def run(inputs: Mapping[str, Artifact], config: MasksConfig, work: Work) -> Bund
     return bundle | {"summary.json": {"sentence": f"{words}.", **summary}}
 
 
-def _footage(inputs: Mapping[str, Artifact], name: str) -> Iterator[tuple[Episode, dict[str, np.ndarray]]]:
-    """Each rendered episode with its layers and the camera's own images of the same times."""
+def _plate(
+    inputs: Mapping[str, Artifact], given: Path | None, camera: str, cameras: Sequence[str], height: int, width: int
+) -> np.ndarray:
+    """A camera's plate: the one given, from a folder of CAMERA.png where there are several, or registered from its images."""
+    if given is None:
+        return plate_of((layers["real"], layers["masks"][..., 0]) for _, layers in _footage(inputs, camera))
+    path = given if len(cameras) == 1 else given / f"{camera}.png"
+    if not path.is_file():
+        raise EdreamError(f"There is no plate at {path}; expected an image of the scene without robot and objects.")
+    return resized(decode_image(path.read_bytes(), str(path)), height, width)
+
+
+def _footage(inputs: Mapping[str, Artifact], only: str | None = None) -> Iterator[tuple[Episode, dict[str, np.ndarray]]]:
+    """Each rendered view, of one camera or all, with its layers and the camera's own images of the same times."""
+    rendered = inputs["render"]["summary.json"]
     recorded = {episode.name: episode for episode in stored_episodes(inputs["ingest"])}
     for episode in layered_episodes(inputs["render"]):
+        recording, camera = view_of(rendered, episode.name)
+        if only not in (None, camera):
+            continue
         layers = images_of(episode, ("robot", "masks", "object"))
-        video = recorded[episode.name].videos[name]
+        video = recorded[recording].videos[camera]
         rows = np.searchsorted(video.times, episode.videos["robot"].times - 1e-6)
         height, width = layers["robot"].shape[1:3]
         yield episode, layers | {"real": np.stack(list(frames_at(video, rows, height, width))), "rows": rows}

@@ -1,7 +1,7 @@
 """Render: each recorded episode replayed in the simulator, its robot and simulated objects seen by the recording's camera."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -13,16 +13,20 @@ from edream.core.episode import Episode
 from edream.core.errors import EdreamError
 from edream.core.scene import Scene
 from edream.core.stage import Artifact, Bundle, Source, Stage, Work
+from edream.ingest.episode_read import read_episode
 from edream.ingest.layered import layer, layered_bundle, layered_shard
-from edream.ingest.stored import stored_episodes
+from edream.ingest.stored import stored_episodes, stored_index
 from edream.sim.camera import SimulationCamera, graphics
+from edream.sim.meshes import lightened
 from edream.sim.open_loop import open_loop
 from edream.sim.robot import RobotModel
 from edream.sim.rollout import whole
 from edream.vision.frames import chosen_camera, positions_at, rows_at
 from edream.vision.scene_file import read_scene
+from edream.vision.views import view_name
 
-CAMERAS, SIMULATED = "cameras.json", "simulated.json"
+CAMERAS = "cameras.json"
+MANY = 2000  # images from which on starting further processes costs less than it saves
 
 
 @dataclass(frozen=True)
@@ -35,6 +39,7 @@ class RenderOptions:
     width: int = 64
     rate: float | None = 12.5
     supersampling: int = 2
+    triangles: int | None = 30000
     hidden: tuple[str, ...] = ()
     scene: Path | None = None
 
@@ -43,6 +48,8 @@ class RenderOptions:
             raise EdreamError(f"render.height and render.width are {self.height} and {self.width}; expected multiples of 16.")
         if not 1 <= self.supersampling <= 4:
             raise EdreamError(f"render.supersampling is {self.supersampling}; expected 1 to 4.")
+        if self.triangles is not None and self.triangles < 1000:
+            raise EdreamError(f"render.triangles is {self.triangles}; expected 1000 or more, or null for all.")
 
 
 @dataclass(frozen=True)
@@ -68,57 +75,83 @@ def sources(config: RenderConfig) -> Mapping[str, Source]:
 
 @dataclass(frozen=True, eq=False)
 class Take:
-    """What one process needs to render one episode."""
+    """What one process needs to render one view.
 
-    episode: Episode
+    Attributes:
+        path: the file of the recording's episode.
+        joints: positions to render, at the episode's times, (T, J).
+        rows: images of the camera's video that are rendered.
+        view: what the view is called.
+        folder: for its file.
+    """
+
+    path: Path
     joints: np.ndarray
     rows: np.ndarray
+    view: str
     name: str
     robot: RobotModel
     camera: Camera
     scene: Scene
     options: RenderOptions
+    folder: Path
 
 
 def run(inputs: Mapping[str, Artifact], config: RenderConfig, work: Work) -> Bundle:
-    """Replay, then render the images nearest to a steady rate."""
+    """Replay, then render the images nearest to a steady rate, from every camera."""
     options, robot = config.render, config.robot.load()
     if options.model == "none":
         return _video_alone(inputs["ingest"], options, work)
-    (name, native), *_ = from_json(inputs["camera"][CAMERAS], CAMERAS).items()
-    own = inputs["camera"]["summary.json"]["source"] == "recording"  # each episode's own, for the camera may move
+    cameras = from_json(inputs["camera"][CAMERAS], CAMERAS)
     scene = read_scene(options.scene)
-    episodes = [one for one in stored_episodes(inputs["ingest"]) if name in one.videos]
+    paths, episodes = [], []
+    for row in stored_index(inputs["ingest"]):
+        path = inputs["ingest"].path(f"episodes/{row.file}")
+        episode = read_episode(path)
+        if any(name in episode.videos for name in cameras):
+            paths.append(path)
+            episodes.append(episode)
     places, error = _simulated(inputs, robot, episodes, options, work)
-    takes = [
-        Take(
-            episode,
-            places[i],
-            rows_at(episode.videos[name], options.rate),
-            name,
-            robot,
-            _camera(episode, name, native, own).resized(options.height, options.width),
-            scene,
-            options,
-        )
-        for i, episode in enumerate(episodes)
-    ]
-
-    def one(take: Take, rng: np.random.Generator) -> Bundle:
-        return _rendered(take, work.folder("writing"))
-
+    thinned = robot if options.triangles is None else lightened(robot, options.triangles)
+    takes, views = [], {}
+    folder = work.folder("writing")
+    for path, episode, joints in zip(paths, episodes, places, strict=True):
+        for name, native in cameras.items():
+            if name in episode.videos:
+                camera = _camera(episode, name, native, _from_recording(inputs["camera"], name)).resized(
+                    options.height, options.width
+                )
+                view, rows = view_name(episode.name, name, cameras), rows_at(episode.videos[name], options.rate)
+                own = folder / f"{len(takes):06d}"
+                takes.append(Take(path, joints, rows, view, name, thinned, camera, scene, options, own))
+                views[view] = [episode.name, name]
     with graphics():
-        bundle, told = layered_bundle(work.shards("episodes", takes, one, parallel=False))
+        many = sum(len(take.rows) for take in takes) >= MANY
+        bundle, told = layered_bundle(work.shards("episodes", takes, _rendered, parallel=many))
     frames = sum(t["frames"] for t in told)
-    share = float(np.mean([t["robot_share"] for t in told]))
-    if share < 1e-4:
+    unseen = [name for name in cameras if np.mean([t["robot_share"] for t in told if views[t["view"]][1] == name]) < 1e-4]
+    if unseen:
         raise EdreamError(
-            f"The robot is not to be seen from camera {name!r} in any image; its pose is wrong: check camera.file, or run "
+            f"The robot is not to be seen from camera {unseen[0]!r} in any image; its pose is wrong: check camera.file, or run "
             "'edream calibrate camera' with camera.guess."
         )
-    sentence = f"{frames} images of {len(episodes)} episodes rendered; the robot covers {100 * share:.1f} % of them."
-    summary = {"sentence": sentence, "camera": name, "frames": frames, "robot_share": share, "states": options.states} | error
-    return bundle | {"summary.json": summary}
+    share = float(np.mean([t["robot_share"] for t in told]))
+    eyes = "" if len(cameras) == 1 else f" from {len(cameras)} cameras"
+    sentence = f"{frames} images of {len(episodes)} episodes rendered{eyes}; the robot covers {100 * share:.1f} % of them."
+    summary = {
+        "sentence": sentence,
+        "camera": next(iter(cameras)),
+        "frames": frames,
+        "robot_share": share,
+        "states": options.states,
+    }
+    return bundle | {"summary.json": summary | error | ({"views": views} if len(cameras) > 1 else {})}
+
+
+def _from_recording(found: Artifact, name: str) -> bool:
+    """Whether a camera's pose is each episode's own, for the camera may move."""
+    about = found["summary.json"]
+    return about.get("each", {name: about})[name]["source"] == "recording"
 
 
 def _camera(episode: Episode, name: str, common: Camera, own: bool) -> Camera:
@@ -171,20 +204,20 @@ def _simulated(
     return found, {"replay_rmse_rad": float(np.sqrt(np.mean(errors**2)))}
 
 
-def _rendered(take: Take, folder: Path) -> Bundle:
-    video, options, size = take.episode.videos[take.name], take.options, len(take.rows)
-    times = video.times[take.rows]
-    joints = positions_at(take.episode, take.joints, times)
-    shape = (size, options.height, options.width)
-    robot, masks, things = np.zeros((*shape, 3), np.uint8), np.zeros((*shape, 3), np.uint8), np.zeros((*shape, 3), np.uint8)
+def _rendered(take: Take, rng: np.random.Generator) -> Bundle:
+    episode, options, size = read_episode(take.path), take.options, len(take.rows)
+    times = episode.videos[take.name].times[take.rows]
+    joints = positions_at(episode, take.joints, times)
+    shape = (size, options.height, options.width, 3)
+    robot, masks, things = np.zeros(shape, np.uint8), np.zeros(shape, np.uint8), np.zeros(shape, np.uint8)
     eye = SimulationCamera(take.robot, take.camera, take.scene.objects, options.supersampling, options.hidden)
     try:
         for i, time in enumerate(times):
-            stance = dict(zip(take.episode.joints, joints[i], strict=True))
+            stance = dict(zip(episode.joints, joints[i], strict=True))
             frame = int(take.rows[i])
             alone = eye.see(stance, {}, frame)
             robot[i], masks[i, ..., 0] = alone.colour, alone.robot
-            poses = take.scene.at(take.episode.name, float(time))
+            poses = take.scene.at(episode.name, float(time))
             if poses:
                 both = eye.see(stance, poses, frame)
                 things[i] = np.where(both.object[..., None] > 0, both.colour, 0)
@@ -195,8 +228,9 @@ def _rendered(take: Take, folder: Path) -> Bundle:
     finally:
         eye.close()
     layers = {"robot": layer(times, robot), "masks": layer(times, masks), "object": layer(times, things)}
-    about = {"frames": size, "robot_share": float(masks[..., 0].mean() / 255.0), "rows": take.rows.tolist()}
-    return layered_shard(take.episode, layers, folder, about)
+    about = {"frames": size, "robot_share": float(masks[..., 0].mean() / 255.0), "rows": take.rows.tolist(), "view": take.view}
+    take.folder.mkdir(exist_ok=True)
+    return layered_shard(replace(episode, name=take.view), layers, take.folder, about)
 
 
-ENTRY = Stage("render", 1, needs, RenderConfig, run, sources, ("mujoco", "numpy"))
+ENTRY = Stage("render", 2, needs, RenderConfig, run, sources, ("mujoco", "numpy"))

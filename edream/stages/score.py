@@ -170,7 +170,7 @@ def _long(model: DreamModel, scenes: Scenes, options: DreamOptions, source: str,
 
 
 def _pictures(clips: Mapping[str, Clips], sources: Sequence[str], count: int, rate: float) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Film strips of the worst clips, and a moving picture of the median one."""
+    """Film strips of the worst clips; moving pictures of the worst, the median and the best one, side by side."""
     main, real = f"{DREAM} {sources[0]}", clips["real"]
     error = np.square(clips[main].astype(np.float32) - real.astype(np.float32)).mean(axis=(1, 2, 3, 4))
     order = np.argsort(-error, kind="stable")
@@ -185,16 +185,19 @@ def _pictures(clips: Mapping[str, Clips], sources: Sequence[str], count: int, ra
     rows = [label for label in rows if label in clips]
     found: dict[str, Any] = {}
     for rank, index in enumerate(order[:count]):
-        found[f"strip-{rank}.png"] = encode_image(film_strip([clips[label][index] for label in rows]), "png")
+        found[f"strip-{rank}.png"] = encode_image(film_strip([clips[label][index] for label in rows], scale=1), "png")
     middle = int(order[len(order) // 2])
-    moving = [f"composite {sources[0]}", main, "real"]
-    found["moving.png"] = side_by_side([clips[label][middle] for label in moving], rate)
+    without = sources[-1] if sources[-1] != sources[0] else None
+    moving = [f"composite {sources[0]}", main, *([f"{DREAM} {without}"] if without else []), "real"]
+    shown = {"moving.png": middle, "moving-worst.png": int(order[0]), "moving-best.png": int(order[-1])}
+    found |= {name: side_by_side([clips[label][one] for label in moving], rate) for name, one in shown.items()}
     psnr = 10.0 * np.log10(255.0**2 / np.maximum(error, 1e-9))
     return found, {
         "rows": rows,
         "moving": moving,
         "psnr": [float(psnr[i]) for i in order[:count]],
         "median_psnr": float(psnr[middle]),
+        "moving_psnr": {name: float(psnr[one]) for name, one in shown.items()},
     }
 
 

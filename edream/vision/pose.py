@@ -17,11 +17,13 @@ from edream.core.camera import Camera, looking_at
 from edream.core.episode import Episode
 from edream.core.errors import EdreamError, unknown_name
 from edream.sim.camera import SimulationCamera
+from edream.sim.meshes import lightened
 from edream.sim.robot import RobotModel
 from edream.vision.frames import frames_at, positions_at
 
 SIZE = 64  # pixels along the longer side at which silhouettes are compared
 COLUMNS = ("episode", "time", "point", "u", "v")
+TRIANGLES = 20000  # of a robot whose silhouette is enough
 
 
 @dataclass(frozen=True)
@@ -43,17 +45,19 @@ class CameraGuess:
 
 @dataclass(frozen=True)
 class Mark:
-    """A point of the robot that somebody found in an image: a site or body name, and its pixel."""
+    """A point of the robot that somebody found in an image: a site or body name, and its pixel; None stands for every camera."""
 
     episode: str
     time: float
     point: str
     u: float
     v: float
+    camera: str | None = None
 
 
 def read_marks(path: Path) -> list[Mark]:
-    """Marked points from CSV with the columns episode, time [s], point (a site or a body of the robot), u, v [pixel].
+    """Marked points from CSV with the columns episode, time [s], point (a site or a body of the robot), u, v [pixel], and camera
+    where there are several.
 
     Raises:
         EdreamError: the file or a column is missing, or a number cannot be read.
@@ -63,7 +67,7 @@ def read_marks(path: Path) -> list[Mark]:
     with path.open(newline="", encoding="utf-8") as stream:
         rows = list(csv.DictReader(stream))
     try:
-        return [Mark(r["episode"], float(r["time"]), r["point"], float(r["u"]), float(r["v"])) for r in rows]
+        return [Mark(r["episode"], float(r["time"]), r["point"], float(r["u"]), float(r["v"]), r.get("camera")) for r in rows]
     except (KeyError, TypeError, ValueError) as error:
         raise EdreamError(
             f"{path} cannot be read as marked points ({error}); expected the columns {', '.join(COLUMNS)}."
@@ -79,8 +83,11 @@ def fit_to_marks(robot: RobotModel, episodes: Sequence[Episode], name: str, mark
     Raises:
         EdreamError: fewer than six marks, an unknown episode or point, or no pose explains them.
     """
+    marks = [one for one in marks if one.camera in (None, "", name)]
     if len(marks) < 6:
-        raise EdreamError(f"There are {len(marks)} marked points; a camera's pose and focal length need at least 6.")
+        raise EdreamError(
+            f"There are {len(marks)} marked points for camera {name!r}; a camera's pose and focal length need at least 6."
+        )
     points, pixels = _marked(robot, {e.name: e for e in episodes}, marks)
     video = episodes[0].videos[name]
     h, w = video.height, video.width
@@ -214,7 +221,7 @@ class _Silhouettes:
         self.size = _extent(robot, stances)
         pose = looking_at(np.array([1.0, 0.0, 1.0]), np.zeros(3))
         self.eye = SimulationCamera(
-            robot, Camera(h, w, np.array([[h, 0, w / 2], [0, h, h / 2], [0, 0, 1.0]]), pose), supersampling=1
+            lightened(robot, TRIANGLES), Camera(h, w, np.array([[h, 0, w / 2], [0, h, h / 2], [0, 0, 1.0]]), pose), supersampling=1
         )
         self._targets: dict[float, np.ndarray] = {}
 

@@ -36,6 +36,27 @@ def test_a_codec_says_its_shape_and_whether_it_loses_anything(name: str) -> None
     assert not codec.lossless or torch.equal(back, images)
 
 
+def test_a_codec_with_svds_temporal_decoder_is_loaded_by_its_config_and_looks_at_neighbours(tmp_path: Path) -> None:
+    from diffusers.models.autoencoders.autoencoder_kl_temporal_decoder import AutoencoderKLTemporalDecoder
+
+    torch.manual_seed(0)
+    blocks = {"down_block_types": ("DownEncoderBlock2D",) * 2, "block_out_channels": (32, 32), "layers_per_block": 1}
+    network = AutoencoderKLTemporalDecoder(**blocks, scaling_factor=0.5)
+    with torch.no_grad():
+        network.decoder.time_conv_out.weight.add_(0.05 * torch.randn_like(network.decoder.time_conv_out.weight))
+    network.save_pretrained(tmp_path / "vae")
+    codec = catalog.load("codecs", "kl_vae", Codec).build({}, tmp_path / "vae").eval()
+    images = torch.rand(5, 3, 16, 16) * 2 - 1
+    with torch.no_grad():
+        latents = codec.encode(images)
+        assert torch.allclose(latents, network.encode(images).latent_dist.mean * 0.5, atol=1e-6)
+        assert torch.allclose(codec.decode(latents), network.decode(latents / 0.5, num_frames=5).sample, atol=1e-6)
+        assert not torch.allclose(codec.decode(latents)[:1], codec.decode(latents[:1]), atol=1e-4)
+    (tmp_path / "vae" / "config.json").write_text("{}")
+    with pytest.raises(EdreamError, match="no VAE's config"):
+        catalog.load("codecs", "kl_vae", Codec).build({}, tmp_path / "vae")
+
+
 def test_a_learned_codec_gets_better_when_it_is_trained() -> None:
     torch.manual_seed(0)
     entry = catalog.load("codecs", "kl_vae", Codec)
@@ -171,6 +192,27 @@ def test_segmenters_say_what_they_lack(tmp_path: Path) -> None:
             catalog.load("segmenters", name, Segmenter).masks(seen, {})
     with pytest.raises(EdreamError, match=r"one\.npz"):
         catalog.load("segmenters", "precomputed", Segmenter).masks(seen, {"folder": tmp_path})
+
+
+def test_sam2_and_grounding_dino_are_read_from_a_local_folder_and_leave_the_robot_out(tmp_path: Path) -> None:
+    """The weights are random, so only the way through is tested, not what is found."""
+    pytest.importorskip("transformers", reason="the extra sam2 is not installed")
+    from tests.tiny_sam2 import save_grounding, save_sam2
+
+    seen, _ = footage()
+    entry = catalog.load("segmenters", "sam2", Segmenter)
+    save_sam2(tmp_path / "sam2")
+    boxed = entry.masks(seen, {"weights": tmp_path, "boxes": {"all": [0.4, 0.6, 0.25, 0.2]}})
+    with pytest.raises(EdreamError, match=r"masks\.options\.prompt"):
+        entry.masks(seen, {"weights": tmp_path, "prompt": "a red box."})
+    save_grounding(tmp_path / "grounding")
+    worded = entry.masks(seen, {"weights": tmp_path, "prompt": "a red box."})
+    for found in (boxed, worded):
+        assert found.shape == seen.robot.shape and found.dtype == np.uint8 and 0.0 < found.mean() < 1.0
+        assert not (found & (seen.robot > 127)).any()
+    (tmp_path / "sam2" / "model.safetensors").write_bytes(b"nothing")
+    with pytest.raises(EdreamError, match="no model that transformers reads"):
+        entry.masks(seen, {"weights": tmp_path, "boxes": {"all": [0.4, 0.6, 0.25, 0.2]}})
 
 
 def test_run_lengths_are_read_as_coco_writes_them(tmp_path: Path) -> None:

@@ -11,6 +11,8 @@ from edream.core.episode import Episode, Video
 from edream.core.errors import EdreamError
 from edream.core.scene import SceneObject
 from edream.sim.camera import SimulationCamera
+from edream.sim.meshes import lightened
+from edream.sim.robot import RobotModel
 from edream.vision.pose import CameraGuess, Mark, fit_to_marks, fit_to_silhouettes
 from tests.rendering import camera_on, pan_tilt
 
@@ -119,3 +121,35 @@ def test_silhouettes_give_back_the_camera_from_a_rough_idea() -> None:
     assert quality["silhouette_iou"] > 0.6, "of a thin moving outline; the true camera reaches 0.7"
     points = rng.uniform(-0.08, 0.15, (40, 3))
     assert np.sqrt(np.mean((found.project(points) - camera.project(points)) ** 2)) < 3.0
+
+
+def dense_robot(rows: int = 60) -> RobotModel:
+    """A link that is a bumpy mesh, away from its file's origin and turned."""
+    up, around = np.linspace(0, np.pi, rows), np.linspace(0, 2 * np.pi, 2 * rows, endpoint=False)
+    a, b = np.meshgrid(up, around, indexing="ij")
+    size = 0.05 * (1 + 0.1 * np.sin(4 * b) * np.sin(3 * a))
+    points = np.stack([size * np.sin(a) * np.cos(b), 2 * size * np.sin(a) * np.sin(b), size * np.cos(a)], -1).reshape(-1, 3)
+    wide, lines = 2 * rows, [f"v {x:.6f} {y:.6f} {z:.6f}" for x, y, z in points + [0.03, 0.01, 0.1]]
+    for i in range(rows - 1):
+        for j in range(wide):
+            p, q = i * wide + j + 1, i * wide + (j + 1) % wide + 1
+            lines += [f"f {p} {p + wide} {q}", f"f {q} {p + wide} {q + wide}"]
+    mjcf = """<mujoco><asset><mesh name="link" file="link.obj" scale="1 1 1.5"/></asset><worldbody><body name="link">
+      <joint name="turn" axis="0 0 1"/><geom type="mesh" mesh="link" quat="0.9 0.1 0.3 0" rgba="0.8 0.4 0.2 1"/></body></worldbody>
+      <actuator><position joint="turn" kp="1"/></actuator></mujoco>"""
+    return RobotModel("dense", mjcf, {"link.obj": "\n".join(lines).encode()})
+
+
+def test_thinned_meshes_look_the_same_and_a_light_robot_stays_as_it_is(rendering: None) -> None:
+    robot = dense_robot()
+    thin = lightened(robot, 2000)
+    assert int(robot.model.mesh_facenum.sum()) > 14000 and int(thin.model.mesh_facenum.sum()) <= 2100
+    assert lightened(thin, 2500) is thin and thin.joints == robot.joints
+    seen = []
+    for one in (robot, thin):
+        eye = SimulationCamera(one, camera_on(96))
+        seen.append(eye.see({"turn": 0.7}))
+        eye.close()
+    masks = [one.robot > 127 for one in seen]
+    assert (masks[0] & masks[1]).sum() / (masks[0] | masks[1]).sum() > 0.98 and masks[0].mean() > 0.02
+    assert np.abs(seen[0].colour.astype(int) - seen[1].colour).mean() < 1.0
