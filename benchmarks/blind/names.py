@@ -55,7 +55,7 @@ FACTORS: Mapping[str, Mapping[str, tuple[str, float]]] = {
     "load_friction": {"share": ("slope", 1.0)},
     "presliding": {"torque": ("torque", 1.0), "width": ("displacement", 1.0)},
     "parallel_spring": {"stiffness": ("stiffness", 1.0), "rest": ("reference", 1.0)},
-    "hardening_spring": {"cubic": ("stiffness", 1.0), "rest": ("reference", 1.0)},
+    "hardening_spring": {"stiffness": ("stiffness", 1.0), "cubic": ("hardening", 1.0), "rest": ("reference", 1.0)},
     "constant_torque": {"torque": ("torque", 1.0)},
     "payload": {"mass": ("mass", 1.0)},
     "joint_compliance": {"compliance": ("give", 1.0)},

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from edream.catalog import load
 from edream.core.effect import Effect
 from edream.diagnosis.candidates import Candidate, placement
-from edream.diagnosis.descent import Fit, begin, descend, step_from, stretches
+from edream.diagnosis.descent import Fit, begin, descend, polish, step_from, stretches
 from edream.diagnosis.problem import Problem
 from edream.diagnosis.screen import Scored, extend, scaled_probe, screen, unexplained_by, with_quantities
 from edream.sim.least_squares import worth
@@ -22,6 +22,9 @@ REFITTED, GROUPS, FINISHED = 8, 4, 6
 HOPELESS = 0.4  # of the best candidate's gain after two steps: those below are not refitted to the end
 DRAWS = 4000
 SHAPED = 1.5  # floors of error from which a winner is tried in its other shapes
+SHAPES = 3  # so many of them
+MATERIAL = 0.03  # of the gap at first, in root-mean-square error, that a further effect must close
+NEAR, RIVALS = 0.75, 5  # of the best one's gain; so many go on
 NARROW = 0.3  # of a quantity's range: an interval that says something
 AS_WELL = 0.95  # of the share that an effect closes: its special case closes as much, and needs less to be believed
 DISTINCT = 0.5  # of the floor squared, or of the error where that is larger
@@ -136,27 +139,54 @@ def forward(problem: Problem, fit: Fit, done: Callable[[str, int], object] = lam
         scored = screen(problem, fit, lambda n: done("screening", n))
         trials = try_best(problem, fit, errors, scored, lambda n: done("refitting", n))
         trials = with_confusable(problem, fit, errors, scored, trials, lambda n: done("refitting", n))
-        taken = simplest([t for t in trials if passes(problem, t)])
+        trials = settled(problem, errors, trials)
+        first = rounds[0].errors if rounds else errors
+        taken = simplest([t for t in trials if passes(problem, t) and matters(problem, first, errors, t)])
         rounds.append(Round(fit, errors, scored, trials, taken))
         if taken is None:
             break
-        fit = arrived(problem, taken)
+        fit = arrived(problem, fit, taken)
+        fit = polish(fit) if is_brief(fit) else fit
     return fit, rounds
 
 
-def arrived(problem: Problem, taken: Trial) -> Fit:
-    """The winner's fit gone down to the end; where that leaves a gap, from another of its shapes as well."""
+def matters(problem: Problem, first: Float[np.ndarray, "M"], errors: Float[np.ndarray, "M"], trial: Trial) -> bool:
+    """Whether a candidate's gain is worth a name beside the gap that was there at first; always so for the first one.
+
+    What comes after a large effect and gains little more is mostly that effect's own form, which no formula has exactly.
+    """
+    gap = float(np.sqrt(first.mean())) - problem.floor
+    return first is errors or float(np.sqrt(errors.mean()) - np.sqrt(trial.errors.mean())) >= MATERIAL * gap
+
+
+def settled(problem: Problem, errors: Float[np.ndarray, "M"], trials: Sequence[Trial]) -> list[Trial]:
+    """The trials, those near the best gone down to their ends: an effect of more numbers needs more steps to show what it can."""
+    best = [t for t in trials if t.sure and t.closed >= NEAR * max(t.closed for t in trials)][:RIVALS]
+    near = [t for t in best if is_brief(t.fit) or not passes(problem, t)]
+    ends = [descend(replace(t.fit, scale=worth(t.fit.objective, t.fit.residual)), None, 4) for t in near]
+    again = [judged(problem, end, errors, t) for end, t in zip(ends, near, strict=True)]
+    better = [max(pair, key=lambda t: (passes(problem, t), t.closed)) for pair in zip(near, again, strict=True)]
+    return sorted([*better, *(t for t in trials if t not in near)], key=lambda t: -t.closed)
+
+
+def arrived(problem: Problem, before: Fit, taken: Trial) -> Fit:
+    """The winner's fit gone down to the end; where that leaves a gap, from its other shapes as well.
+
+    Those begin at the nuisance numbers from before it, which have not yet made up for a wrong shape.
+    """
     fit = descend(replace(taken.fit, scale=worth(taken.fit.objective, taken.fit.residual)), None, 4)
     place = placement(problem, taken.candidate)
     strong = [scaled_probe(place, problem, probe, STRONG) for probe in probes_of(problem, place)]
-    sets = [with_quantities(fit.objective, fit.values, [place], [shape]) for shape in strong if shape is not None]
+    extended, absent = extend(before, [place])
+    sets = [with_quantities(extended, absent, [place], [shape]) for shape in strong if shape is not None]
     if fit.rms <= SHAPED * problem.floor or len(sets) < 2:
         return fit
-    residuals = fit.objective.residuals(np.array(sets))
-    best = int(np.argmin([rms(r) for r in residuals]))
-    own = np.isin(fit.space.names, [place.full_name(p.name) for p in place.effect.parameters(problem.robot.model, place.targets)])
-    again = descend(begin(fit.objective, np.clip(fit.space.to_unit(sets[best]), 0.0, 1.0)), own, 3)
-    return descend(again, None, 4) if again.rms < fit.rms else fit
+    residuals = extended.residuals(np.array(sets))
+    promising = np.argsort([rms(r) for r in residuals], kind="stable")[:SHAPES]
+    own, space = fresh_columns(before, extended), extended.simulated.space
+    others = [descend(begin(extended, np.clip(space.to_unit(sets[number]), 0.0, 1.0)), own, 3) for number in promising]
+    again = descend(min(others, key=lambda other: other.rms), None, 4)
+    return again if again.rms < fit.rms else fit
 
 
 def simplest(passing: Sequence[Trial]) -> Trial | None:
@@ -209,8 +239,12 @@ def try_best(
 
 def far_off(problem: Problem, fit: Fit) -> bool:
     """Whether the gap is so large that a linear test points anywhere, and the model so small that trying is cheap."""
-    length = sum(float(w.times[-1]) for w in fit.objective.windows)
-    return len(fit.unit) <= SMALL and length <= BRIEF and fit.rms > FAR * problem.floor
+    return len(fit.unit) <= SMALL and is_brief(fit) and fit.rms > FAR * problem.floor
+
+
+def is_brief(fit: Fit) -> bool:
+    """Whether a simulation of all motions costs little."""
+    return sum(float(w.times[-1]) for w in fit.objective.windows) <= BRIEF
 
 
 def try_boldly(
@@ -297,7 +331,7 @@ def probes_of(problem: Problem, place: Placement) -> Sequence[Mapping[str, float
     return place.effect.probes(problem.robot.model, place.targets)
 
 
-def judged(problem: Problem, fit: Fit, errors: Float[np.ndarray, "M"], scored: Scored) -> Trial:
+def judged(problem: Problem, fit: Fit, errors: Float[np.ndarray, "M"], scored: Scored | Trial) -> Trial:
     """A refitted candidate on motions left out, against `errors` without it."""
     left = left_out_errors(problem, fit)
     gain = errors - left

@@ -23,6 +23,7 @@ from edream.sim.simulation import unit_at
 ALIKE = 0.9  # a rival that closes this share of what the winner closes may be the true one
 STRANGE = (0.68, 1.35)  # times its published value: a nuisance number below or above is an effect itself, 30 % off is usual
 REAL_GAP = 1.8  # how many floors of left-out error are a gap worth a name
+CLOSED = 0.9  # share of the gap, in root-mean-square error, from which what is left is not worth a formula
 ENOUGH = 0.5  # share of the gap that named effects must close, or what is left has no name
 
 Verdict = Literal["named", "none", "cannot_tell", "unnamed"]
@@ -238,6 +239,8 @@ def unexplained(problem: Problem, before: Fit, fit: Fit, rounds: Sequence[Round]
     errors = trials[-1].errors if trials else rounds[0].errors
     start, end, floor = float(rounds[0].errors.mean()), float(errors.mean()), problem.floor**2
     if np.sqrt(end) <= REAL_GAP * problem.floor:
+        return None
+    if trials and np.sqrt(start) - np.sqrt(end) >= CLOSED * (np.sqrt(start) - problem.floor):
         return None
     beside = find_remainder(problem, fit, beside_names=bool(trials))
     if beside is not None and beside.real:

@@ -27,7 +27,7 @@ class AsymmetricCoulomb(Effect):
     of_type = False
 
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
-        high = largest(model, targets)
+        high = 2.0 * largest(model, targets)
         return (Parameter("difference", "N m", -high, high, 0.0, absent=0.0),)
 
     def edit(self, spec: mujoco.MjSpec, target: str) -> None:

@@ -31,7 +31,7 @@ class Presliding(Effect):
     confusable = ("coulomb", "backlash", "stribeck")
 
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
-        high = largest(model, targets)
+        high = 2.0 * largest(model, targets)
         # the stiffest bristle that a step of this length carries on the lightest of the joints
         inertia = min(float(model.dof_M0[joint_index(model, target)["dof"]]) for target in targets)
         short = max(5e-4, high * float(model.opt.timestep) ** 2 / (0.1 * inertia))

@@ -35,7 +35,7 @@ class Stribeck(Effect):
     hook = staticmethod(stribeck)
 
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
-        high = largest(model, targets)
+        high = 2.0 * largest(model, targets)
         return (
             Parameter("torque", "N m", 0.0, high, 0.0, absent=0.0),
             Parameter("speed", "rad/s", 0.005, 3.0, 0.1, scale="log"),
