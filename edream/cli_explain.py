@@ -86,9 +86,10 @@ def doctor(json: bool) -> None:
         "packages": {name: _version(name) or "missing" for name in PACKAGES},
         "rendering": {kind: _renderer(kind) for kind in ("egl", "osmesa")},
     }
-    found["torch threads"] = _torch_threads()
+    found["torch threads"], found["gpu"], broken = _torch()
+    if broken:
+        found["packages"]["torch"] += f", broken: {broken}"
     found["memory [GB]"] = round(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e9, 1)
-    found["gpu"] = _gpu()
     missing = [name for name, there in found["packages"].items() if there == "missing"]
     draws = [kind for kind, renderer in found["rendering"].items() if not renderer.startswith("no")]
     found["can run"] = {
@@ -120,15 +121,6 @@ def _experiment(name: str, found: Mapping[str, Any]) -> str:
     return f"{robot}{give}: calibrate, diagnose {first}; dream, train-policy {rest}"
 
 
-def _gpu() -> str | None:
-    """Name of the GPU that torch finds, or None."""
-    if _version("torch") is None:
-        return None
-    import torch
-
-    return torch.cuda.get_device_name(0) if torch.cuda.is_available() else None
-
-
 def _catalogs() -> list[str]:
     """Folders of the package whose files are entries."""
     root = Path(__file__).parent
@@ -151,12 +143,15 @@ def _renderer(kind: str) -> str:
     return lines[-1] if asked.returncode == 0 and lines else f"no: {lines[-1] if lines else f'exit code {asked.returncode}'}"
 
 
-def _torch_threads() -> int | None:
+def _torch() -> tuple[int | None, str | None, str | None]:
+    """Torch's threads, the GPU that it finds, and why it cannot be used where it is there and cannot."""
     if _version("torch") is None:
-        return None
-    import torch
-
-    return torch.get_num_threads()
+        return None, None, None
+    try:
+        import torch
+    except ImportError as error:
+        return None, None, str(error)
+    return torch.get_num_threads(), torch.cuda.get_device_name(0) if torch.cuda.is_available() else None, None
 
 
 def _version(name: str) -> str | None:

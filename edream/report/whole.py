@@ -184,7 +184,7 @@ def _success(runs: Sequence[Run]) -> Iterator[dict[str, Any]]:
         where = f"with a sheet of A4 paper on the table ({paper})" if changed else "on the scene of the demonstrations"
         yield {
             "name": f"{summary['task']}: {'augmentation, the scene is changed' if changed else 'supervised, then by trials'}",
-            "sentence": f"{summary['sentence']} {where.capitalize()}.",
+            "sentence": f"{summary['sentence']} {where[0].upper()}{where[1:]}.",
             "short": f"{'With paper' if changed else 'Policy'}: {last['name']} {100 * last['success']['share']:.0f} %.",
             "heads": ("", "ours [%], Wilson's 95 % interval", "trials", "paper's [%]"),
             "rows": rows,
