@@ -23,7 +23,7 @@ HOPELESS = 0.4  # of the best candidate's gain after two steps: those below are 
 DRAWS = 4000
 SHAPED = 1.5  # floors of error from which a winner is tried in its other shapes
 SHAPES = 3  # so many of them
-MATERIAL = 0.03  # of the gap at first, in root-mean-square error, that a further effect must close
+MATERIAL = 0.05  # of the gap at first, in root-mean-square error, that a further effect must close
 NEAR, RIVALS = 0.75, 5  # of the best one's gain; so many go on
 NARROW = 0.3  # of a quantity's range: an interval that says something
 AS_WELL = 0.95  # of the share that an effect closes: its special case closes as much, and needs less to be believed
@@ -133,14 +133,15 @@ def forward(problem: Problem, fit: Fit, done: Callable[[str, int], object] = lam
     rounds: list[Round] = []
     for _ in range(problem.settings.most):
         errors = left_out_errors(problem, fit)
-        if np.sqrt(errors.mean()) <= 1.25 * problem.floor:
+        first = rounds[0].errors if rounds else errors
+        left, whole = (float(np.sqrt(e.mean())) - problem.floor for e in (errors, first))
+        if left <= max(0.25 * problem.floor, MATERIAL * whole if rounds else 0.0):
             rounds.append(Round(fit, errors, [], [], None))
             break
         scored = screen(problem, fit, lambda n: done("screening", n))
         trials = try_best(problem, fit, errors, scored, lambda n: done("refitting", n))
         trials = with_confusable(problem, fit, errors, scored, trials, lambda n: done("refitting", n))
         trials = settled(problem, errors, trials)
-        first = rounds[0].errors if rounds else errors
         taken = simplest([t for t in trials if passes(problem, t) and matters(problem, first, errors, t)])
         rounds.append(Round(fit, errors, scored, trials, taken))
         if taken is None:
