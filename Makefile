@@ -44,7 +44,7 @@ policy-tiny: export OMP_NUM_THREADS = 1
 policy-tiny: .venv/ready
 	test -d $(POLICY)/recorded || $(RUN)/edream record robot=arm6 task=grab_paper_cup record.episodes=50 record.out=$(POLICY)/recorded seed=1
 	$(RUN)/edream train-policy robot=arm6_working task=grab_paper_cup data=$(POLICY)/recorded ingest.fps=25 runs=$(POLICY)/runs run=policy-tiny \
-	  seed=1 rollouts.eyes=composite sft.twins=true camera.file=$(POLICY)/recorded.cameras.json \
+	  seed=1 rollouts.eyes=composite sft.twins=true rank.margin=1 camera.file=$(POLICY)/recorded.cameras.json \
 	  rollouts.plate=$(POLICY)/recorded.plate.png render.scene=$(POLICY)/recorded.scene.json
 
 # The paper's table at the tiny size: four tasks, SFT with three views, SFT with one, RL with one; then the ablation: physics as published,
@@ -54,7 +54,7 @@ TABLE := runs/policy-table
 TASKS ?= grab_paper_cup put_pen_in_cup put_remote_in_box put_cup_on_mat
 ROWS ?= ["sft policy.cameras=[cam_high,cam_side,wrist] sft.twins=false","sft","rl"]
 PHYSICS ?= ["sft","rl rollouts.model=published","rl","rl rollouts.model=diagnose"]
-LEARN = $(RUN)/edream train-policy robot=arm6_working ingest.fps=25 seed=1 runs=$(TABLE)/runs rollouts.eyes=composite sft.twins=true 'policy.cameras=[cam_high]'
+LEARN = $(RUN)/edream train-policy robot=arm6_working ingest.fps=25 seed=1 runs=$(TABLE)/runs rollouts.eyes=composite sft.twins=true rank.margin=1 'policy.cameras=[cam_high]'
 define demonstrated  # task, folder, further settings
 	test -f $(2).truth.json || { rm -rf $(2) $(2).*; $(RUN)/edream record robot=arm6 task=$(1) record.episodes=50 record.out=$(2) seed=1 $(3); }
 endef
