@@ -90,12 +90,12 @@ def learned_words(scores: Mapping[str, Any]) -> str:
 def _tiles(summary: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     found = [
         ("PSNR", f"{summary['psnr']:.1f}", "dB"),
-        ("gain outside the object", f"{summary['gain_outside_object_db']:+.1f}", "dB"),
-        ("flicker, 1 is right", f"{summary['flicker']:.2f}", ""),
-        ("silhouette IoU", f"{summary['silhouette_iou']:.2f}", ""),
+        ("gain on what needs no training", f"{summary['gain_outside_object_db']:+.1f}", "dB"),
+        ("flicker, 1 is right", None if summary.get("flicker") is None else f"{summary['flicker']:.2f}", ""),
+        ("silhouette IoU", None if summary["silhouette_iou"] is None else f"{summary['silhouette_iou']:.2f}", ""),
         ("judged on", str(summary["clips"]), f"clips of {summary['frames']} images"),
     ]
-    return found
+    return [(label, value, unit) for label, value, unit in found if value is not None]
 
 
 def _cell(row: Mapping[str, Any], metric: str, region: str) -> str:

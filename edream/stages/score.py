@@ -51,9 +51,10 @@ class ScoreOptions:
 
 @dataclass(frozen=True)
 class ScoreRender:
-    """Of the rendering only its rate counts here, for the speed of the pictures."""
+    """Of the rendering its rate counts here, for the speed of the pictures, and whether there is a robot."""
 
     rate: float | None = None
+    model: str = "fit"
 
 
 @dataclass(frozen=True)
@@ -99,7 +100,8 @@ def run(inputs: Mapping[str, Artifact], config: ScoreConfig, work: Work) -> Bund
         models, scenes, picked, options.frames, config.seed, sources, grains, asked.steps, options.overlap if options.known else 0
     )
     later = {name: mask & (np.arange(options.frames) >= bench.given)[:, None, None] for name, mask in where.items()}
-    metrics = ready_metrics(asked.metrics, _weights(asked))
+    named = tuple(dict.fromkeys(("psnr", *asked.metrics))) if asked.metrics else ()  # the sentence needs it
+    metrics = ready_metrics(named, _weights(asked))
     clips: dict[str, Clips] = {}
     table: list[dict[str, Any]] = []
 
@@ -117,8 +119,9 @@ def run(inputs: Mapping[str, Artifact], config: ScoreConfig, work: Work) -> Bund
             table.append({"label": label, **kept["found.json"]})
         longest = _long(models[DREAM], scenes, options, sources[0], config.seed, asked.long)
     table.append({"label": "real", "silhouette_iou": {"robot": silhouette_iou(real, scenes, picked, where)}})
-    pictures, about_pictures = _pictures(clips | {"real": real}, sources, asked.strips, config.render.rate or 12.5)
-    summary = _summary(table, sources, inputs["dream"]["summary.json"], longest, len(picked), options)
+    main, bases = _main_rows(bench, config.render.model == "none")
+    pictures, about_pictures = _pictures(clips | {"real": real}, main, bases, sources, asked.strips, config.render.rate or 12.5)
+    summary = _summary(table, main, bases, sources, inputs["dream"]["summary.json"], longest, len(picked), options)
     told = {"metrics": {name: one.about for name, one in metrics.items() if one.learned}}
     told |= {"not_computed": [name for name in catalog.names("metrics") if name not in metrics]}
     return pictures | {
@@ -169,9 +172,20 @@ def _long(model: DreamModel, scenes: Scenes, options: DreamOptions, source: str,
     return long_video(model, scenes, number, frames, options.frames, options.overlap, source, seed)
 
 
-def _pictures(clips: Mapping[str, Clips], sources: Sequence[str], count: int, rate: float) -> tuple[dict[str, Any], dict[str, Any]]:
+def _main_rows(bench: Bench, alone: bool) -> tuple[str, list[str]]:
+    """The row that counts and what it must beat; of video alone, where nothing says what moves, both have the first images."""
+    if alone and bench.given:
+        after = f"{AFTER}{bench.given} real images"
+        return f"{DREAM} {bench.sources[0]}{after}", [f"held still{after}"]
+    composites = [f"composite {source}" for source in dict.fromkeys([*bench.sources, "none"])]
+    return f"{DREAM} {bench.sources[0]}", [*composites, "plate"]
+
+
+def _pictures(
+    clips: Mapping[str, Clips], main: str, bases: Sequence[str], sources: Sequence[str], count: int, rate: float
+) -> tuple[dict[str, Any], dict[str, Any]]:
     """Film strips of the worst clips; moving pictures of the worst, the median and the best one, side by side."""
-    main, real = f"{DREAM} {sources[0]}", clips["real"]
+    real = clips["real"]
     error = np.square(clips[main].astype(np.float32) - real.astype(np.float32)).mean(axis=(1, 2, 3, 4))
     order = np.argsort(-error, kind="stable")
     rows = [
@@ -187,8 +201,8 @@ def _pictures(clips: Mapping[str, Clips], sources: Sequence[str], count: int, ra
     for rank, index in enumerate(order[:count]):
         found[f"strip-{rank}.png"] = encode_image(film_strip([clips[label][index] for label in rows], scale=1), "png")
     middle = int(order[len(order) // 2])
-    without = sources[-1] if sources[-1] != sources[0] else None
-    moving = [f"composite {sources[0]}", main, *([f"{DREAM} {without}"] if without else []), "real"]
+    copied_nothing = [f"{DREAM} {source}" for source in sources[1:]]
+    moving = [bases[0], main, *copied_nothing[-1:], "real"]
     shown = {"moving.png": middle, "moving-worst.png": int(order[0]), "moving-best.png": int(order[-1])}
     found |= {name: side_by_side([clips[label][one] for label in moving], rate) for name, one in shown.items()}
     psnr = 10.0 * np.log10(255.0**2 / np.maximum(error, 1e-9))
@@ -203,6 +217,8 @@ def _pictures(clips: Mapping[str, Clips], sources: Sequence[str], count: int, ra
 
 def _summary(
     table: Sequence[Mapping[str, Any]],
+    main_row: str,
+    bases: Sequence[str],
     sources: Sequence[str],
     trained: Mapping[str, Any],
     longest: Mapping[str, Any],
@@ -210,15 +226,16 @@ def _summary(
     options: DreamOptions,
 ) -> dict[str, Any]:
     rows = {row["label"]: row for row in table}
-    main = rows[f"{DREAM} {sources[0]}"]
-    bases = [label for label in rows if label == "plate" or label.startswith("composite")]
+    main = rows[main_row]
     best = max(bases, key=lambda label: rows[label]["psnr"]["not object"])
-    gain = main["psnr"]["not object"] - rows[best]["psnr"]["not object"]
+    reached = main["psnr"]["not object"]
+    gain = reached - rows[best]["psnr"]["not object"]
+    outside = " outside the object" if options.objects else ""
     summary: dict[str, Any] = {
-        "sentence": f"Dreamed video reaches {main['psnr']['not object']:.1f} dB outside the object on {clips} clips it never saw, "
-        f"{gain:+.1f} dB on {best!r}, the better of background plate and pasted composite.",
+        "sentence": f"Dreamed video reaches {reached:.1f} dB{outside} on {clips} clips it never saw, {gain:+.1f} dB on {best!r}.",
         **{name: next(iter(row.values())) for name, row in main.items() if name != "label"},
         "gain_outside_object_db": gain,
+        "main_row": main_row,
         "clips": clips,
         "frames": options.frames,
         "codec_psnr": trained["codec_psnr"],

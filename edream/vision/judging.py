@@ -110,10 +110,10 @@ def _still(background: Bool[np.ndarray, "N T H W"]) -> Bool[np.ndarray, "N T H W
     return np.stack([[~grown(~frame, 3) for frame in clip] for clip in background])
 
 
-def silhouette_iou(made: Clips, scenes: Scenes, picked: Sequence[tuple[int, int]], where: Regions) -> float:
+def silhouette_iou(made: Clips, scenes: Scenes, picked: Sequence[tuple[int, int]], where: Regions) -> float | None:
     """Overlap of the robot that is to be seen with the simulated one: what differs from the background near the robot, not
     counting the object. Shadows and parts of the background's colour keep it below 1 even for real video, whose own value
-    is the measure."""
+    is the measure. None where no robot is simulated."""
     common = total = 0
     for clip, (number, first), thing in zip(made, picked, where["object"], strict=True):
         plate = np.asarray(scenes.references[number]).astype(np.float32)
@@ -124,7 +124,7 @@ def silhouette_iou(made: Clips, scenes: Scenes, picked: Sequence[tuple[int, int]
             apart = np.abs(image * scale - plate).max(axis=2) > 28.0
             common += int((apart & mask & near).sum())
             total += int(((apart | mask) & near).sum())
-    return common / max(total, 1)
+    return common / total if total else None
 
 
 def to_and_fro(length: int, frames: int) -> np.ndarray:
