@@ -9,18 +9,16 @@ from jaxtyping import Float
 from edream.catalog import load
 from edream.core.effect import Effect
 from edream.diagnosis.candidates import Candidate, placement
-from edream.diagnosis.descent import Fit, begin, descend, polish, step_from, stretches
+from edream.diagnosis.descent import Fit, begin, descend, polish, stretches
+from edream.diagnosis.left_out import bootstrap, far_off, is_brief, left_out_errors
 from edream.diagnosis.problem import Problem
 from edream.diagnosis.screen import Scored, extend, scaled_probe, screen, unexplained_by, with_quantities
 from edream.sim.least_squares import worth
-from edream.sim.objective import UNSTABLE_RESIDUAL, Objective, rms
-from edream.sim.rollout import rollout_each
+from edream.sim.objective import Objective, rms
 from edream.sim.simulation import Placement
 
-FOLDS = 5
 REFITTED, GROUPS, FINISHED = 8, 4, 6
 HOPELESS = 0.4  # of the best candidate's gain after two steps: those below are not refitted to the end
-DRAWS = 4000
 SHAPED = 1.5  # floors of error from which a winner is tried in its other shapes
 SHAPES = 3  # so many of them
 MATERIAL = 0.05  # of the gap at first, in root-mean-square error, that a further effect must close
@@ -29,10 +27,7 @@ NARROW = 0.3  # of a quantity's range: an interval that says something
 AS_WELL = 0.95  # of the share that an effect closes: its special case closes as much, and needs less to be believed
 DISTINCT = 0.5  # of the floor squared, or of the error where that is larger
 SERIOUS_SHARE = 0.01
-SMALL, FAR = 10, 20.0  # at most so many numbers and a gap of so many floors: every refit starts from several places
-BRIEF = 120.0  # s of motion, up to which trying is cheap
 STRONG = 5.0  # probes
-LENGTHS = (1.0, 0.5, 0.2, 0.0)  # of a step
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,63 +62,6 @@ class Round:
     taken: Trial | None
 
 
-def left_out_errors(problem: Problem, fit: Fit) -> Float[np.ndarray, "M"]:
-    """Mean squared error [rad^2] of each fitted motion when its fold is left out of the last step of the fit, (M,).
-
-    The fit has arrived, so leaving a fold out moves it by one Gauss-Newton step over the other folds; the fold is then simulated at
-    the values that never saw it.
-    """
-    windows = fit.objective.windows
-    fold = np.random.default_rng([problem.settings.seed, 11]).permutation(len(windows)) % min(FOLDS, len(windows))
-    if far_off(problem, fit):
-        return _left_out_carefully(fit, fold)
-    sets = []
-    for number in range(len(windows)):
-        rows = ~np.isin(fit.objective.owner, np.flatnonzero(fold == fold[number]))
-        sets.append(fit.space.from_unit(np.clip(fit.unit + step_from(fit, rows), 0.0, 1.0)))
-    simulated = rollout_each(fit.objective.simulated, np.array(sets).reshape(len(windows), -1), windows, problem.settings.threads)
-    return np.array([_mean_square(s, w.measured, problem.counted) for s, w in zip(simulated, windows, strict=True)])
-
-
-def _left_out_carefully(fit: Fit, fold: np.ndarray) -> Float[np.ndarray, "M"]:
-    """The same where a whole step may lead astray: of several lengths that which suits the other motions is taken."""
-    owner = fit.objective.owner
-    kept = [~np.isin(owner, np.flatnonzero(fold == one)) for one in range(fold.max() + 1)]
-    sets = [np.clip(fit.unit + length * step_from(fit, rows), 0.0, 1.0) for rows in kept for length in LENGTHS]
-    squares = fit.objective.residuals(fit.space.from_unit(np.array(sets))) ** 2
-    out = np.zeros(len(fold))
-    for one, rows in enumerate(kept):
-        mine = squares[one * len(LENGTHS) : (one + 1) * len(LENGTHS)]
-        best = mine[int(np.argmin(mine[:, rows].sum(axis=1)))]
-        for number in np.flatnonzero(fold == one):
-            out[number] = best[owner == number].mean()
-    return out
-
-
-def _mean_square(simulated: np.ndarray, measured: np.ndarray, counted: np.ndarray) -> float:
-    residual = np.nan_to_num((simulated - measured)[1:, counted], nan=UNSTABLE_RESIDUAL)
-    return float(np.mean(residual**2))
-
-
-def proof_errors(problem: Problem, fit: Fit) -> Float[np.ndarray, "M"]:
-    """Mean squared error [rad^2] of each motion that was never fitted, (M,)."""
-    windows = problem.proof
-    sets = np.tile(fit.values, (len(windows), 1))
-    simulated = rollout_each(fit.objective.simulated, sets, windows, problem.settings.threads)
-    return np.array([_mean_square(s, w.measured, problem.counted) for s, w in zip(simulated, windows, strict=True)])
-
-
-def bootstrap(gain: Float[np.ndarray, "M"], seed: int) -> tuple[float, float]:
-    """95 % interval of the mean of paired differences, resampling whole motions.
-
-    Source: Efron, Tibshirani, An Introduction to the Bootstrap, 1993, chapter 13 (percentile interval).
-    """
-    rng = np.random.default_rng([seed, 13])
-    means = gain[rng.integers(0, len(gain), (DRAWS, len(gain)))].mean(axis=1)
-    low, high = np.percentile(means, [2.5, 97.5])
-    return float(low), float(high)
-
-
 def forward(problem: Problem, fit: Fit, done: Callable[[str, int], object] = lambda text, n: None) -> tuple[Fit, list[Round]]:
     """Add effects while they pass, the best on left-out motions first.
 
@@ -142,6 +80,7 @@ def forward(problem: Problem, fit: Fit, done: Callable[[str, int], object] = lam
         trials = try_best(problem, fit, errors, scored, lambda n: done("refitting", n))
         trials = with_confusable(problem, fit, errors, scored, trials, lambda n: done("refitting", n))
         trials = settled(problem, errors, trials)
+        trials = simplified(problem, fit, errors, trials)
         taken = simplest([t for t in trials if passes(problem, t) and matters(problem, first, errors, t)])
         rounds.append(Round(fit, errors, scored, trials, taken))
         if taken is None:
@@ -168,6 +107,23 @@ def settled(problem: Problem, errors: Float[np.ndarray, "M"], trials: Sequence[T
     again = [judged(problem, end, errors, t) for end, t in zip(ends, near, strict=True)]
     better = [max(pair, key=lambda t: (passes(problem, t), t.closed)) for pair in zip(near, again, strict=True)]
     return sorted([*better, *(t for t in trials if t not in near)], key=lambda t: -t.closed)
+
+
+def simplified(problem: Problem, fit: Fit, errors: Float[np.ndarray, "M"], trials: Sequence[Trial]) -> list[Trial]:
+    """The trials, with the special case of the best one begun where that one ended: what its other number was worth shows then."""
+    best = next((t for t in trials if passes(problem, t)), None)
+    if best is None or (special := load("effects", best.candidate.effect, Effect).special) is None:
+        return list(trials)
+    plain = Candidate(special[0], best.candidate.targets)
+    extended, _ = extend(fit, [placement(problem, plain)])
+    space, ended = extended.simulated.space, best.fit.space.mapping(best.fit.values)
+    found = {name.replace(best.candidate.effect, plain.effect, 1): value for name, value in ended.items()}
+    start = space.to_unit(np.array([found.get(p.name, p.start) for p in space.parameters]))
+    end = descend(begin(extended, np.clip(start, 0.0, 1.0)), None, 4)
+    trial = judged(problem, end, errors, replace(best, candidate=plain))
+    others = [t for t in trials if t.candidate != plain]
+    old = [t for t in trials if t.candidate == plain]
+    return sorted([*others, max([trial, *old], key=lambda t: t.closed)], key=lambda t: -t.closed)
 
 
 def arrived(problem: Problem, before: Fit, taken: Trial) -> Fit:
@@ -236,16 +192,6 @@ def try_best(
         if gain >= HOPELESS * gained[0] and len(trials) < FINISHED:
             trials.append(judged(problem, descend(near, fresh_columns(fit, near.objective), iterations=4), errors, one))
     return sorted(trials, key=lambda t: -t.closed)
-
-
-def far_off(problem: Problem, fit: Fit) -> bool:
-    """Whether the gap is so large that a linear test points anywhere, and the model so small that trying is cheap."""
-    return len(fit.unit) <= SMALL and is_brief(fit) and fit.rms > FAR * problem.floor
-
-
-def is_brief(fit: Fit) -> bool:
-    """Whether a simulation of all motions costs little."""
-    return sum(float(w.times[-1]) for w in fit.objective.windows) <= BRIEF
 
 
 def try_boldly(

@@ -6,8 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from edream.diagnosis.candidates import Candidate
-from edream.diagnosis.decide import left_out_errors, refit
+from edream.diagnosis.decide import refit
 from edream.diagnosis.descent import Fit, cost, descend
+from edream.diagnosis.left_out import left_out_errors
 from edream.diagnosis.problem import Problem, nuisance_placements
 from edream.diagnosis.screen import screen
 from edream.sim.simulation import SimulatedRobot

@@ -11,8 +11,9 @@ from edream.catalog import load
 from edream.core.effect import Effect
 from edream.core.parameters import Parameter
 from edream.diagnosis.candidates import Candidate, placement
-from edream.diagnosis.decide import Round, Trial, backward, bootstrap, forward, proof_errors, rivals
+from edream.diagnosis.decide import Round, Trial, backward, forward, rivals
 from edream.diagnosis.descent import Fit
+from edream.diagnosis.left_out import bootstrap, proof_errors
 from edream.diagnosis.nuisance import fit_nuisance, published
 from edream.diagnosis.problem import Problem
 from edream.diagnosis.remainder import Remainder, find_remainder

@@ -31,7 +31,7 @@ class Cogging(Effect):
 
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
         return (
-            Parameter("amplitude", "N m", 0.0, 0.5 * largest(model, targets), 0.0, absent=0.0),
+            Parameter("amplitude", "N m", 0.0, largest(model, targets), 0.0, absent=0.0),
             Parameter("periods", "1", 6.0, 120.0, 12.0, scale="log"),
             Parameter("phase", "1", -2.0 * np.pi, 2.0 * np.pi, 0.0),
         )

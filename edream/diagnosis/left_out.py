@@ -1,0 +1,82 @@
+"""Errors on motions that a fit did not see, and what they are worth."""
+
+import numpy as np
+from jaxtyping import Float
+
+from edream.diagnosis.descent import Fit, step_from
+from edream.diagnosis.problem import Problem
+from edream.sim.objective import UNSTABLE_RESIDUAL
+from edream.sim.rollout import rollout_each
+
+FOLDS = 5
+DRAWS = 4000
+SMALL, FAR = 10, 20.0  # at most so many numbers and a gap of so many floors: every refit starts from several places
+BRIEF = 120.0  # s of motion, up to which trying is cheap
+LENGTHS = (1.0, 0.5, 0.2, 0.0)  # of a step
+
+
+def left_out_errors(problem: Problem, fit: Fit) -> Float[np.ndarray, "M"]:
+    """Mean squared error [rad^2] of each fitted motion when its fold is left out of the last step of the fit, (M,).
+
+    The fit has arrived, so leaving a fold out moves it by one Gauss-Newton step over the other folds; the fold is then simulated at
+    the values that never saw it.
+    """
+    windows = fit.objective.windows
+    fold = np.random.default_rng([problem.settings.seed, 11]).permutation(len(windows)) % min(FOLDS, len(windows))
+    if far_off(problem, fit):
+        return _left_out_carefully(fit, fold)
+    sets = []
+    for number in range(len(windows)):
+        rows = ~np.isin(fit.objective.owner, np.flatnonzero(fold == fold[number]))
+        sets.append(fit.space.from_unit(np.clip(fit.unit + step_from(fit, rows), 0.0, 1.0)))
+    simulated = rollout_each(fit.objective.simulated, np.array(sets).reshape(len(windows), -1), windows, problem.settings.threads)
+    return np.array([_mean_square(s, w.measured, problem.counted) for s, w in zip(simulated, windows, strict=True)])
+
+
+def _left_out_carefully(fit: Fit, fold: np.ndarray) -> Float[np.ndarray, "M"]:
+    """The same where a whole step may lead astray: of several lengths that which suits the other motions is taken."""
+    owner = fit.objective.owner
+    kept = [~np.isin(owner, np.flatnonzero(fold == one)) for one in range(fold.max() + 1)]
+    sets = [np.clip(fit.unit + length * step_from(fit, rows), 0.0, 1.0) for rows in kept for length in LENGTHS]
+    squares = fit.objective.residuals(fit.space.from_unit(np.array(sets))) ** 2
+    out = np.zeros(len(fold))
+    for one, rows in enumerate(kept):
+        mine = squares[one * len(LENGTHS) : (one + 1) * len(LENGTHS)]
+        best = mine[int(np.argmin(mine[:, rows].sum(axis=1)))]
+        for number in np.flatnonzero(fold == one):
+            out[number] = best[owner == number].mean()
+    return out
+
+
+def _mean_square(simulated: np.ndarray, measured: np.ndarray, counted: np.ndarray) -> float:
+    residual = np.nan_to_num((simulated - measured)[1:, counted], nan=UNSTABLE_RESIDUAL)
+    return float(np.mean(residual**2))
+
+
+def proof_errors(problem: Problem, fit: Fit) -> Float[np.ndarray, "M"]:
+    """Mean squared error [rad^2] of each motion that was never fitted, (M,)."""
+    windows = problem.proof
+    sets = np.tile(fit.values, (len(windows), 1))
+    simulated = rollout_each(fit.objective.simulated, sets, windows, problem.settings.threads)
+    return np.array([_mean_square(s, w.measured, problem.counted) for s, w in zip(simulated, windows, strict=True)])
+
+
+def bootstrap(gain: Float[np.ndarray, "M"], seed: int) -> tuple[float, float]:
+    """95 % interval of the mean of paired differences, resampling whole motions.
+
+    Source: Efron, Tibshirani, An Introduction to the Bootstrap, 1993, chapter 13 (percentile interval).
+    """
+    rng = np.random.default_rng([seed, 13])
+    means = gain[rng.integers(0, len(gain), (DRAWS, len(gain)))].mean(axis=1)
+    low, high = np.percentile(means, [2.5, 97.5])
+    return float(low), float(high)
+
+
+def far_off(problem: Problem, fit: Fit) -> bool:
+    """Whether the gap is so large that a linear test points anywhere, and the model so small that trying is cheap."""
+    return len(fit.unit) <= SMALL and is_brief(fit) and fit.rms > FAR * problem.floor
+
+
+def is_brief(fit: Fit) -> bool:
+    """Whether a simulation of all motions costs little."""
+    return sum(float(w.times[-1]) for w in fit.objective.windows) <= BRIEF
