@@ -19,7 +19,7 @@ from edream.ingest.episode_file import write_episode
 from edream.practice.about import ABOUT, WEIGHTS, PolicyAbout
 from edream.practice.collecting import OUTCOMES, Manner, Player, Shard, collected, outcomes_of, split
 from edream.practice.film import episode_of, moving_picture
-from edream.practice.rates import Rate, apart, rate
+from edream.practice.rates import Paired, Rate, apart, paired, rate
 from edream.reality.cell_look import CellLook
 from edream.reality.truth import Truth, unseal
 from edream.reality.workcell import RealWorkcell
@@ -103,7 +103,9 @@ def run(inputs: Mapping[str, Artifact], config: EvaluateConfig, work: Work) -> B
         again = [Shard(opener, ((start, 0),), (start,)) for start in worth_seeing(outcomes, options.films)]
         found = collected(work, f"films-{number}", player, again, manner) if again else []
         films |= filmed_trials(number, name, about, found, config.task, work.folder(f"films-{number}"))
-    summary = {"sentence": sentence(rows), "task": config.task, "starts": options.starts, "rates": rows}
+    done = [table["success"].to_pylist() for table in tables]
+    beside = paired(done[0], done[-1]) if len(done) > 1 else None
+    summary = {"sentence": sentence(rows, beside), "task": config.task, "starts": options.starts, "rates": rows, "paired": beside}
     return films | {"outcomes.parquet": pa.concat_tables(tables), "summary.json": summary}
 
 
@@ -157,13 +159,16 @@ def row_of(name: str, about: PolicyAbout, outcomes: pa.Table) -> dict[str, Any]:
     }
 
 
-def sentence(rows: Sequence[Mapping[str, Any]]) -> str:
-    """The rates, and whether they can be told apart."""
+def sentence(rows: Sequence[Mapping[str, Any]], beside: Paired | None = None) -> str:
+    """The rates, and whether the first and the last can be told apart: by their intervals, and start by start."""
     told = ", ".join(f"{row['name']} {_percent(row['success'])}" for row in rows)
     text = f"Success in the stand-in reality over {rows[0]['success'].trials} starts: {told}."
     if len(rows) > 1:
         clear = apart(rows[0]["success"], rows[-1]["success"])
         text += " The intervals do not overlap." if clear else " The intervals overlap: this many starts do not tell them apart."
+    if beside is not None:
+        one, other = rows[0]["name"], rows[-1]["name"]
+        text += f" {beside.first} starts were done by {one} alone, {beside.second} by {other} alone (p = {beside.chance:.2g})."
     return text
 
 

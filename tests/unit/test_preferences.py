@@ -12,7 +12,7 @@ from edream.core.errors import EdreamError
 from edream.learn.policy import log_likelihood
 from edream.learn.preference import Judged, Preference, PreferenceOptions
 from edream.practice.ranking import RankOptions, ranked, require_pairs
-from edream.practice.rates import apart, rate
+from edream.practice.rates import apart, paired, rate
 
 B = 0.1
 EXECUTED = torch.tensor([[[0.2], [0.4]], [[-0.3], [-0.1]]])  # the chosen trajectory, then the rejected one
@@ -88,3 +88,10 @@ def test_wilson_s_interval_is_the_one_in_the_books() -> None:
     assert found.share == 0.75 and found.interval == pytest.approx((0.5313, 0.8881), abs=1e-4)
     assert rate([False] * 10).interval[0] == pytest.approx(0.0, abs=1e-12) and rate([False] * 10).interval[1] > 0.25
     assert apart(rate([True] * 90 + [False] * 10), rate([True] * 10 + [False] * 90)) and not apart(found, found)
+
+
+def test_policies_are_compared_start_by_start_with_mcnemar_s_exact_test() -> None:
+    found = paired([True] * 6 + [False] * 27 + [True] * 100, [False] * 6 + [True] * 27 + [True] * 100)
+    by_hand = 2 * sum(math.comb(33, k) for k in range(7)) / 2**33
+    assert (found.first, found.second) == (6, 27) and found.chance == pytest.approx(by_hand)
+    assert paired([True, False], [True, False]).chance == 1.0
