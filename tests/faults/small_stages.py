@@ -10,12 +10,16 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.parquet  # here, so that a forked process need not
+import safetensors.numpy  # noqa: F401
+import tqdm  # noqa: F401
 from omegaconf import OmegaConf
 
 from edream import pipeline
 from edream.core.errors import EdreamError
 from edream.core.stage import Artifact, Bundle, Stage, Work
 
+pa.chunked_array([[1.0]]).to_numpy()  # imports pandas where there is one
 SLOW = 0.004  # s of pretended work a shard
 
 

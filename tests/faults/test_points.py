@@ -63,7 +63,7 @@ def test_a_kill_at_each_passing_of_each_point_leaves_the_same_result(point, undi
         kills += 1
     assert kills >= 1, "the point was never reached"
     with capsys.disabled():
-        print(f" {kills} kills at {point!r}, 0 artifacts lost or wrong")
+        print(f" {kills} kills at {point!r}, 0 artifacts lost or wrong", flush=True)
 
 
 @pytest.mark.slow
@@ -89,7 +89,10 @@ def test_kills_at_random_moments_one_after_another_in_one_store_lose_nothing(und
     checked(runs, undisturbed)
     assert done > 0, "no run came to its end between kills"
     with capsys.disabled():
-        print(f" {killed} kills at random moments, {done + 1} runs came to their end in between, 0 artifacts lost or wrong")
+        print(
+            f" {killed} kills at random moments, {done + 1} runs came to their end in between, 0 artifacts lost or wrong",
+            flush=True,
+        )
 
 
 @pytest.mark.parametrize("count", [2, 8])
