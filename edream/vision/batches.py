@@ -50,7 +50,7 @@ class KeptLatents:
         for number, one in enumerate(episodes):
             path = folder / f"{number:06d}.npy"
             np.save(path, one["real"])
-            real.append(np.load(path, mmap_mode="r"))
+            real.append(np.load(path, mmap_mode="r", allow_pickle=False))
             reference.append(np.array(one["reference"][0]))
         return cls(tuple(real), tuple(reference))
 
