@@ -38,7 +38,7 @@ dream-tiny: .venv/ready
 	  camera.file=$(TINY)/recorded.cameras.json render.scene=$(TINY)/recorded.scene.json masks.truth=$(TINY)/recorded.truth.masks.npz
 
 # Fifty demonstrations by an expert on a make-believe robot, its simulator calibrated, a policy trained on them and then on its own
-# trials, both judged over 200 starts in the stand-in reality: 20 minutes on 2 cores.
+# trials, both judged over 200 starts in the stand-in reality: about 20 minutes on 2 free cores.
 POLICY := runs/policy-tiny
 policy-tiny: export OMP_NUM_THREADS = 1
 policy-tiny: .venv/ready
