@@ -113,7 +113,7 @@ def diagnose(problem: Problem, done: Callable[[str, int], object] = lambda text,
         effects = with_suspects(problem, numbers, suspects)
     remainder = unexplained(problem, before, fit, rounds, trials)
     done("remainder", 1)
-    verdict = judge(effects, remainder)
+    verdict = judge(effects, remainder, gap=max(rms(np.sqrt(rounds[0].errors)), rms(ladder[1][1])) / problem.floor)
     if remainder is not None:
         fit = remainder.fit
         effects = [one for one in effects if remainder.beside_names]
@@ -257,12 +257,12 @@ def unexplained(problem: Problem, before: Fit, fit: Fit, rounds: Sequence[Round]
     return alone if better > 0.0 and float(alone.errors.mean()) - floor < 0.5 * (end - floor) else None
 
 
-def judge(effects: Sequence[Named], remainder: Remainder | None) -> Verdict:
-    """The verdict that the evidence allows."""
+def judge(effects: Sequence[Named], remainder: Remainder | None, gap: float) -> Verdict:
+    """The verdict that the evidence allows; `gap` is the error on motions that were not fitted, in floors."""
     if remainder is not None:
         return "unnamed"
     if not effects:
-        return "none"
+        return "unnamed" if gap > REAL_GAP else "none"
     return "cannot_tell" if any(one.confusable_with for one in effects) else "named"
 
 
@@ -272,7 +272,8 @@ def sentence(verdict: Verdict, effects: Sequence[Named], remainder: Remainder | 
         return "Your simulator agrees with these recordings down to their noise; nothing is missing that they could show."
     parts = [one.summary + _on(one.targets, joints) for one in effects]
     if verdict == "unnamed":
-        what = f" It behaves like {remainder.formula} on {remainder.joint}." if remainder else ""
+        nothing = " No formula for it holds on motions left out, either; recordings of more such motions may settle it."
+        what = f" It behaves like {remainder.formula} on {remainder.joint}." if remainder else nothing
         beside = f"Your simulator lacks {_and(parts)}, and something else" if parts else "Something real is missing"
         return f"{beside} that no effect in the library explains.{what}"
     if verdict == "cannot_tell":

@@ -16,7 +16,7 @@ from edream.diagnosis.next_motion import as_window, draw, room_of, separations, 
 from edream.diagnosis.nuisance import published
 from edream.diagnosis.problem import Problem, Settings, measurement_noise, nuisance_placements, prepare
 from edream.diagnosis.screen import ENOUGH, Scored, extend, finalists, fits_beside, screen, thinned, with_quantities
-from edream.diagnosis.verdict import Named, is_strange, sentence
+from edream.diagnosis.verdict import Named, is_strange, judge, sentence
 from edream.sim.rollout import rollout
 from edream.sim.simulation import SimulatedRobot
 
@@ -169,3 +169,10 @@ def test_a_score_test_on_every_other_motion_keeps_their_rows(fit: Fit) -> None:
     assert less.objective.windows == [fit.objective.windows[i] for i in range(0, len(fit.objective.windows), 2)]
     np.testing.assert_allclose(less.objective.residuals(fit.values)[0], less.residual, atol=1e-12)
     assert less.jacobian.shape == (len(less.residual), len(fit.unit))
+
+
+def test_a_real_gap_that_nothing_explains_is_not_called_agreement() -> None:
+    assert judge([], None, 1.2) == "none"
+    assert judge([], None, 5.0) == "unnamed"
+    said = sentence("unnamed", [], None, ("a",))
+    assert "no effect in the library explains" in said and "agrees" not in said
