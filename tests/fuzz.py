@@ -76,13 +76,12 @@ def one(name: str, sample: Path, seed: int) -> None:
             assert str(error), "a sentence must say something"
 
 
-def child(name: str, sample: str, seeds: tuple[int, int], until: float, out: str) -> None:
+def child(name: str, sample: str, first: int, seconds: float, out: str) -> None:
     """Read broken files until the time is over; write down each seed before it is tried."""
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
-    first, step = seeds
-    seed = first
+    seed, until = first, time.monotonic() + seconds
     with Path(out).open("w", buffering=1) as log:
-        while time.time() < until:
+        while time.monotonic() < until:
             log.write(f"{seed}\n")
             signal.alarm(PATIENCE)
             try:
@@ -91,28 +90,29 @@ def child(name: str, sample: str, seeds: tuple[int, int], until: float, out: str
                 log.write(f"FAILED {seed}\n{traceback.format_exc()}\n")
                 return
             signal.alarm(0)
-            seed += step
+            seed += 1
         log.write("done\n")
 
 
 def fuzz(name: str, minutes: float, seed: int) -> tuple[int, list[str]]:
     """How many broken files of a format were read, and what went wrong."""
     context = multiprocessing.get_context("spawn")
-    until, tried, wrong = time.time() + 60.0 * minutes, 0, []
+    left, tried, wrong, done = 60.0 * minutes, 0, [], False
     with tempfile.TemporaryDirectory() as folder:
         sample = make_sample(name, Path(folder))
-        while time.time() < until and len(wrong) < 10:
-            log = Path(folder) / "log"
-            process = context.Process(target=child, args=(name, str(sample), (seed, 1), until, str(log)))
+        while left > 0 and not done and len(wrong) < 10:
+            log, clock = Path(folder) / "log", time.monotonic()
+            log.unlink(missing_ok=True)
+            process = context.Process(target=child, args=(name, str(sample), seed, left, str(log)))
             process.start()
             process.join()
             lines = log.read_text().splitlines() if log.exists() else []
             seeds = [line for line in lines if line.isdigit()]
-            tried += len(seeds)
-            if not lines or lines[-1] != "done":
-                failed = "\n".join(lines[lines.index(f"FAILED {seeds[-1]}") :]) if f"FAILED {seeds[-1]}" in lines else ""
-                wrong.append(f"{name}, seed {seeds[-1] if seeds else seed}, exit code {process.exitcode}\n{failed}")
-            seed = int(seeds[-1]) + 1 if seeds else seed + 1
+            tried, done, last = tried + len(seeds), lines[-1:] == ["done"], seeds[-1] if seeds else str(seed)
+            if not done:
+                failed = "\n".join(lines[lines.index(f"FAILED {last}") :]) if f"FAILED {last}" in lines else ""
+                wrong.append(f"{name}, seed {last}, exit code {process.exitcode}\n{failed}")
+            seed, left = int(last) + 1, left - (time.monotonic() - clock)
     return tried, wrong
 
 
