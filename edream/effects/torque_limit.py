@@ -8,7 +8,7 @@ import numpy as np
 from edream.core.effect import Effect, Fields, Values, joint_index
 from edream.core.parameters import Parameter
 from edream.sim.scales import largest, strongest
-from edream.sim.servo import servo
+from edream.sim.servo import servo, share_damping
 
 
 class TorqueLimit(Effect):
@@ -16,7 +16,8 @@ class TorqueLimit(Effect):
 
         |tau| <= T
 
-    Nothing on light moves; heavy or fast ones fall behind. Writes the servo's `forcerange`.
+    Nothing on light moves; heavy or fast ones fall behind. The servo's share of the damping, as published, is within
+    the limit. Writes the servo's `forcerange`.
     Parameter: torque T [N m], absolute. Source: MuJoCo XML reference, actuator/general/forcerange.
     """
 
@@ -24,6 +25,7 @@ class TorqueLimit(Effect):
     summary = "a limit of the motor torque"
     place = "joint"
     confusable = ("torque_speed_limit", "servo_gain", "slew_limit")
+    late = True
 
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
         scale, nominal = largest(model, targets), max(strongest(model, target) for target in targets)
@@ -40,6 +42,7 @@ class TorqueLimit(Effect):
             actuator.forcerange = [-1e6, 1e6]
 
     def write(self, fields: Fields, target: str, values: Values) -> None:
+        share_damping(fields, target)
         actuator = joint_index(fields.model, target)["actuator"]
         fields["actuator_forcerange"][:, actuator, 0] = -values["torque"]
         fields["actuator_forcerange"][:, actuator, 1] = values["torque"]

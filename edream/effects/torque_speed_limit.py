@@ -6,9 +6,10 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from edream.core.effect import Effect, State
+from edream.core.effect import Effect, Fields, State, Values
 from edream.core.parameters import Parameter
 from edream.sim.scales import largest, strongest
+from edream.sim.servo import share_damping
 
 
 def torque_speed_limit(state: State, index: dict[str, int], values: dict[str, Any]) -> None:
@@ -34,6 +35,7 @@ class TorqueSpeedLimit(Effect):
     place = "joint"
     confusable = ("torque_limit", "quadratic_drag", "slew_limit")
     hook = staticmethod(torque_speed_limit)
+    late = True
 
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
         # twice the servo's own limit, so that at the top of the box the line stays above it at any speed of an arm
@@ -47,6 +49,9 @@ class TorqueSpeedLimit(Effect):
         torque, stall = largest(model, targets), self.parameters(model, targets)[0].high
         pairs = ((0.5 * torque, 5.0), (torque, 2.0), (4.0 * torque, 2.0), (stall, 2.0))
         return tuple({"stall": min(limit, stall), "speed": speed} for limit, speed in pairs)
+
+    def write(self, fields: Fields, target: str, values: Values) -> None:
+        share_damping(fields, target)
 
 
 ENTRY = TorqueSpeedLimit()

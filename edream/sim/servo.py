@@ -3,7 +3,7 @@
 import mujoco
 import numpy as np
 
-from edream.core.effect import MOTOR_SUFFIX
+from edream.core.effect import MOTOR_SUFFIX, Fields, joint_index
 from edream.core.errors import EdreamError
 
 NO_INPUT = 16  # mjINPUT_NONE: a passive device
@@ -64,3 +64,18 @@ def driven_joints(spec: mujoco.MjSpec) -> list[str]:
     names = {joint.name for joint in spec.joints}
     links = [name.removesuffix(MOTOR_SUFFIX) for name in driven]
     return [link if link in names else name for link, name in zip(links, driven, strict=True)]
+
+
+def share_damping(fields: Fields, joint: str) -> None:
+    """Give the servo its published share of a joint's damping again, where one number for both stands on the joint alone.
+
+    What the servo damps is part of its torque, and so within its limits; what the joint damps is not.
+    """
+    index = joint_index(fields.model, joint)
+    published = -float(fields.model.actuator_biasprm[index["actuator"], 2])
+    total = published + float(fields.model.dof_damping[index["drive"]])
+    merged = fields["actuator_biasprm"][:, index["actuator"], 2] == 0.0
+    if published > 0.0 and total > 0.0 and merged.any():
+        damping = fields["dof_damping"][merged, index["drive"]]
+        fields["actuator_biasprm"][merged, index["actuator"], 2] = -damping * published / total
+        fields["dof_damping"][merged, index["drive"]] = damping * (1.0 - published / total)

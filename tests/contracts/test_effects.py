@@ -5,12 +5,14 @@ from functools import cache
 from itertools import product
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 
 from edream import catalog
 from edream.core.effect import Effect
 from edream.core.episode import Episode
+from edream.sim.emit import emit
 from edream.sim.robot import RobotModel, load_robot
 from edream.sim.rollout import rollout, whole
 from edream.sim.simulation import Placement, SimulatedRobot
@@ -240,3 +242,12 @@ def test_an_effect_works_on_a_model_without_armature_damping_or_friction(name: s
     motions = play(simulated, np.array([simulated.space.vector(values) for values in [start, *sets]]), "bare")
     assert np.isfinite(motions).all()
     assert np.abs(motions[1:] - motions[0]).max() > 1e-6
+
+
+def test_a_torque_limit_holds_the_servos_share_of_the_damping() -> None:
+    """The published servo has kv 0.5 beside a joint damping of 0.1: five sixths of any damping are the motor's torque."""
+    both = SimulatedRobot(robot("pan_tilt"), tuple(Placement(load(name), ("tilt",)) for name in ("torque_limit", "viscous")))
+    values = {"torque_limit.torque[tilt]": 2.0, "viscous.damping[tilt]": 0.9}
+    model = mujoco.MjModel.from_xml_string(emit(both, values).mjcf)
+    assert model.actuator("tilt").biasprm[2] == pytest.approx(-0.75) and model.joint("tilt").damping[0] == pytest.approx(0.15)
+    assert model.actuator("tilt").forcerange[1] == pytest.approx(2.0)
