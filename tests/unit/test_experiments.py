@@ -10,7 +10,7 @@ from edream import config, pipeline
 from edream.cli import app
 from edream.core.errors import EdreamError
 
-NAMES = ("tiny", "so101", "xl330", "paper")
+NAMES = ("tiny", "so101", "xl330", "paper", "video")
 
 
 def ask(*words: str) -> dict:
