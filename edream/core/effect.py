@@ -58,7 +58,8 @@ class Effect(ABC):
         hook: what MJCF cannot say. Called before each step as `hook(state, index, values)`: adds to `state.friction`
             [N m] or `state.torque` [N m]. `index` is `joint_index` of the first target, and the same with "other_" for a pair's
             second. It is written into the emitted hook file as it stands, so it uses only its arguments and `np`.
-        late: whether it changes what other effects wrote, and so comes after them.
+        late: 0 where it writes fields of its own; 1 where it changes what others wrote, 2 where it changes what those wrote, and so
+            comes after them.
         of_type: whether its numbers belong to a type of hardware, so that joints of one type may share them, rather than to one
             assembly, as a zero offset does.
         special: a simpler effect that this one is where one of its quantities has a certain value: (effect, quantity, value).
@@ -69,7 +70,7 @@ class Effect(ABC):
     place: Place
     confusable: tuple[str, ...] = ()
     hook: Hook | None = None
-    late: bool = False
+    late: int = 0
     of_type: bool = True
     special: tuple[str, str, float] | None = None
 

@@ -9,6 +9,8 @@ from edream.core.effect import Effect, Fields, Values, joint_index
 from edream.core.parameters import Parameter
 from edream.sim.scales import largest
 
+TRACE = 1e-12  # N m s/rad: a servo said to damp nothing, other than one whose damping `viscous` took over
+
 
 class DerivativeGain(Effect):
     """The servo's own damping, which acts only while torque is on.
@@ -24,7 +26,7 @@ class DerivativeGain(Effect):
     summary = "another derivative gain of the servo"
     place = "joint"
     confusable = ("viscous", "actuator_lag", "actuator_delay")
-    late = True
+    late = 1
 
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
         index = joint_index(model, targets[0])
@@ -33,7 +35,7 @@ class DerivativeGain(Effect):
         return (Parameter("kv", "N m s/rad", 0.0, high, float(np.clip(nominal, 0.0, high)), absent=0.0),)
 
     def write(self, fields: Fields, target: str, values: Values) -> None:
-        fields["actuator_biasprm"][:, joint_index(fields.model, target)["actuator"], 2] = -values["kv"]
+        fields["actuator_biasprm"][:, joint_index(fields.model, target)["actuator"], 2] = -np.maximum(values["kv"], TRACE)
 
 
 ENTRY = DerivativeGain()

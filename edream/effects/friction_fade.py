@@ -31,7 +31,7 @@ class FrictionFade(Effect):
     place = "joint"
     confusable = ("gain_fade",)
     hook = staticmethod(friction_fade)
-    late = True
+    late = 1
 
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
         return (Parameter("rate", "1/s", -0.03, 0.03, 0.0, absent=0.0),)

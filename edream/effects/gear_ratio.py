@@ -23,7 +23,7 @@ class GearRatio(Effect):
     summary = "another gear ratio"
     place = "joint"
     confusable = ("servo_gain", "encoder_offset", "spring")
-    late = True
+    late = 1
 
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
         return (Parameter("ratio", "1", 0.7, 1.4, 1.0, absent=1.0),)

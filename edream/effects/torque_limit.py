@@ -25,7 +25,7 @@ class TorqueLimit(Effect):
     summary = "a limit of the motor torque"
     place = "joint"
     confusable = ("torque_speed_limit", "servo_gain", "slew_limit")
-    late = True
+    late = 2
 
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
         scale, nominal = largest(model, targets), max(strongest(model, target) for target in targets)

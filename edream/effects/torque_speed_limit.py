@@ -35,7 +35,7 @@ class TorqueSpeedLimit(Effect):
     place = "joint"
     confusable = ("torque_limit", "quadratic_drag", "slew_limit")
     hook = staticmethod(torque_speed_limit)
-    late = True
+    late = 2
 
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
         # twice the servo's own limit, so that at the top of the box the line stays above it at any speed of an arm

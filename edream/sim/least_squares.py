@@ -13,8 +13,7 @@ REFRESH = 3
 NEVER = 10**6
 COARSE = 3e-3  # relative step that ends a search with a cheap Jacobian, whose smaller steps lead nowhere
 STEP = 2e-3  # of the unit box: large enough to cross the kinks of dry friction, small enough to be a derivative
-
-WIDE = 6e-3  # of the unit box, to either side: for intervals
+WIDE = 6e-3  # of the unit box, to either side: where kinks matter more than curvature, at the end of a fit
 
 
 @dataclass(frozen=True, eq=False)

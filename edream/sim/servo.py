@@ -69,7 +69,8 @@ def driven_joints(spec: mujoco.MjSpec) -> list[str]:
 def share_damping(fields: Fields, joint: str) -> None:
     """Give the servo its published share of a joint's damping again, where one number for both stands on the joint alone.
 
-    What the servo damps is part of its torque, and so within its limits; what the joint damps is not.
+    What the servo damps is part of its torque, and so within its limits; what the joint damps is not. Where `derivative_gain` has
+    said what the servo damps, that stands.
     """
     index = joint_index(fields.model, joint)
     published = -float(fields.model.actuator_biasprm[index["actuator"], 2])

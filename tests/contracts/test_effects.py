@@ -251,3 +251,13 @@ def test_a_torque_limit_holds_the_servos_share_of_the_damping() -> None:
     model = mujoco.MjModel.from_xml_string(emit(both, values).mjcf)
     assert model.actuator("tilt").biasprm[2] == pytest.approx(-0.75) and model.joint("tilt").damping[0] == pytest.approx(0.15)
     assert model.actuator("tilt").forcerange[1] == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize("kv", [0.3, 0.0])
+def test_a_torque_limit_leaves_a_derivative_gain_that_was_found_alone(kv: float) -> None:
+    names = ("torque_limit", "viscous", "derivative_gain")
+    all_three = SimulatedRobot(robot("pan_tilt"), tuple(Placement(load(name), ("tilt",)) for name in names))
+    values = {"torque_limit.torque[tilt]": 2.0, "viscous.damping[tilt]": 0.9, "derivative_gain.kv[tilt]": kv}
+    model = mujoco.MjModel.from_xml_string(emit(all_three, values).mjcf)
+    assert model.actuator("tilt").biasprm[2] == pytest.approx(-kv, abs=1e-9)
+    assert model.joint("tilt").damping[0] == pytest.approx(0.9)
