@@ -5,6 +5,8 @@
 Every method starts at the published numbers, searches the same box, and sees the same stretches of the same training motions.
 The error is that of replaying whole motions that none of them saw. The surrogate counts its sweep and its learning. CPU seconds
 stand beside wall-clock seconds because other programs may share the machine. Simulated seconds count motion, all runs added.
+`edream calibrate` takes last steps joint by joint after whatever search and works out intervals there; "finished" is the default
+search with these.
 `mujoco.sysid` needs the `bench` extra; it runs with its own optimiser, rollouts and residual (joint position), on our unit box.
 
 The real SO-101 recordings are taken from EDREAM_SHARED_DATA or a folder `shared/data` beside the repository; absent, that case is
@@ -25,6 +27,7 @@ import numpy as np
 
 from edream import catalog, config
 from edream.calibration.data import sampling_stride, stretches
+from edream.calibration.polish import finish
 from edream.calibration.problem import Fitter, FitterOptions, Problem
 from edream.calibration.settings import RobotSettings, SpaceSettings, scored, simulated_robot
 from edream.calibration.split import split_motions
@@ -39,7 +42,8 @@ from edream.sim.rollout import whole
 from edream.stages.fit import with_surrogate
 from edream.stages.sweep import SweepSettings, sweep
 
-METHODS = ("gauss_newton", "surrogate", "annealing", "cmaes", "mujoco.sysid")
+FINISHED = "gauss_newton, finished"
+METHODS = ("gauss_newton", FINISHED, "surrogate", "annealing", "cmaes", "mujoco.sysid")
 EFFECTS = ("servo_gain", "viscous", "coulomb", "armature")
 UNTIL = 40.0
 
@@ -116,7 +120,7 @@ def solve(method: str, problem: Problem, case: Case) -> tuple[np.ndarray, float]
         from sysid_peer import fit_with_sysid
 
         return fit_with_sysid(problem.objective)
-    entry = catalog.load("fitters", method, Fitter)
+    entry = catalog.load("fitters", method.removesuffix(", finished"), Fitter)
     length = float(np.mean([window.times[-1] for window in problem.objective.windows]))
     extra = 0.0
     if entry.needs_surrogate:
@@ -127,7 +131,11 @@ def solve(method: str, problem: Problem, case: Case) -> tuple[np.ndarray, float]
         problem = with_surrogate(problem, swept, learned, {}, case.train)
         extra = len(swept) * settings.seconds
     result = entry.fit(problem)
-    return result.values, result.simulations * length + extra
+    if method != FINISHED:
+        return result.values, result.simulations * length + extra
+    searched = problem.objective.simulations
+    values = finish(problem.objective, result.values, problem.options.polish).values
+    return values, (result.simulations + problem.objective.simulations - searched) * length
 
 
 def so101(seconds: float) -> Case | None:
