@@ -5,9 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import torch
-
-from edream.core.errors import EdreamError, require
+from edream.core.errors import require
 from edream.learn.training import Schedule
 from edream.practice.shaking import Shake
 
@@ -76,14 +74,3 @@ class SftOptions:
         for name in ("batch", "checkpoint", "apart"):
             require(getattr(self, name) >= 1, f"sft.{name}", getattr(self, name), "at least 1")
         require(0.0 < self.held < 1.0, "sft.held", self.held, "a share between 0 and 1")
-
-
-def device_of(asked: str) -> torch.device:
-    """Where to train.
-
-    Raises:
-        EdreamError: a GPU is asked for and there is none.
-    """
-    if asked == "cuda" and not torch.cuda.is_available():
-        raise EdreamError("policy.device is cuda, but torch finds no GPU here; use policy.device=auto.")
-    return torch.device("cuda" if asked != "cpu" and torch.cuda.is_available() else "cpu")

@@ -14,11 +14,11 @@ from edream.ingest.layered import layered_images
 from edream.learn.checkpoint import arrays, fill
 from edream.learn.codec import Codec, reconstruction_psnr
 from edream.learn.determinism import deterministic
+from edream.learn.device import device_of
 from edream.vision.clips import STORED, Scenes, clip_of, starts
 from edream.vision.clips import images as as_tensor
 from edream.vision.dreamer import Part, encoded, new_codec
 from edream.vision.trained import CODEC, latents_of
-from edream.vision.variants import device_called
 
 LATENTS = "latents.safetensors"
 
@@ -49,7 +49,7 @@ def run(inputs: Mapping[str, Artifact], config: CodecConfig, work: Work) -> Bund
         codec = new_codec(options.codec, config.seed)
         taught = _taught(options, scenes, config.seed, work)
         fill(codec, {name: torch.from_numpy(array) for name, array in taught[CODEC].items()}, CODEC)
-        codec.eval().to(device_called(options.device))
+        codec.eval().to(device_of(options.device, "dream.device"))
 
         def one(number: int, rng: np.random.Generator) -> Bundle:
             real = encoded(codec, as_tensor(scenes.layers[number]["real"]))

@@ -15,6 +15,7 @@ from edream.learn import ranks
 from edream.learn.checkpoint import fill, weights_digest
 from edream.learn.codec import Codec
 from edream.learn.determinism import deterministic
+from edream.learn.device import device_of
 from edream.learn.training import AVERAGE, State, new_state, part, train
 from edream.vision.batches import Batches, KeptLatents
 from edream.vision.clips import STORED, Scenes, starts
@@ -22,7 +23,7 @@ from edream.vision.dreamer import DreamModel
 from edream.vision.grain import Grain, measured_grain
 from edream.vision.judging import drawn
 from edream.vision.trained import CODEC, file_of, latents_of, loaded
-from edream.vision.variants import DreamOptions, Variant, device_of, new_model, variants
+from edream.vision.variants import DreamOptions, Variant, new_model, variants
 
 
 @dataclass(frozen=True)
@@ -96,7 +97,7 @@ class Trainer:
             model = new_model(self.options, self.variants[number], self.seed)
             for weights in self.codec.values():
                 fill(model.codec, {name: torch.from_numpy(np.array(array)) for name, array in weights.items()}, CODEC)
-            model.to(device_of(self.options))
+            model.to(device_of(self.options.device, "dream.device"))
             batches = Batches(self.scenes, self.options, self.variants[number], self.seed, self.latents)
             self._at_work = number, model, batches
         return new_state(self._at_work[1].denoiser)
@@ -105,7 +106,7 @@ class Trainer:
         """Steps `first` up to `last` of the variant at work."""
         assert self._at_work is not None
         _, model, batches = self._at_work
-        device, network = device_of(self.options), model.denoiser
+        device, network = device_of(self.options.device, "dream.device"), model.denoiser
         model.denoiser = ranks.as_one(network)  # type: ignore[assignment]
 
         def loss_of(step: int) -> torch.Tensor:

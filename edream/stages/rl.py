@@ -14,6 +14,7 @@ from edream.core.stage import Artifact, Bundle, Source, Stage, Work
 from edream.ingest.stored import stored_episodes
 from edream.learn.checkpoint import weights_digest
 from edream.learn.determinism import deterministic
+from edream.learn.device import device_of
 from edream.learn.training import AVERAGE, new_state, part, train
 from edream.practice.about import ABOUT, WEIGHTS, PolicyAbout
 from edream.practice.collecting import Manner, Player, collected, outcomes_of
@@ -21,7 +22,7 @@ from edream.practice.demonstrations import ChunkBatches
 from edream.practice.dreaming import eyes_of
 from edream.practice.imitating import Successes
 from edream.practice.learning import Lessons, Played, RlOptions, reference_of, shall_stop
-from edream.practice.options import PolicyOptions, SftOptions, device_of
+from edream.practice.options import PolicyOptions, SftOptions
 from edream.practice.ranking import require_pairs
 from edream.practice.rehearsing import RolloutOptions, calm, cell_of, needs_of, physics_for, shards_of, sources_of
 from edream.practice.sampling import demonstrations, held_out, with_twins
@@ -72,7 +73,7 @@ def run(inputs: Mapping[str, Artifact], config: RlConfig, work: Work) -> Bundle:
     names = sorted(name for name in rolled if name.startswith("trials/"))
     played = Played.of([rolled[name] for name in names], about)
     require_pairs(ranking["pairs.parquet"], len(played))
-    device = device_of(config.policy.device)
+    device = device_of(config.policy.device, "policy.device")
     with deterministic():
         first = about.network(_tensors(inputs["sft"][WEIGHTS])).to(device)
         reference = reference_of(first, played, about, options.likelihood, device)
@@ -125,7 +126,7 @@ def _trained(
     work: Work,
 ) -> Sequence[Artifact]:
     """Every piece of the round until the stopping rule holds, each from where the last one ended."""
-    options, device = config.rl, device_of(config.policy.device)
+    options, device = config.rl, device_of(config.policy.device, "policy.device")
     network = about.network(_tensors(rolled[WEIGHTS])).to(device)
     demonstrated, done = shown
     imitated: list[tuple[float, ChunkBatches | Successes]] = []

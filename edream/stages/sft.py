@@ -12,11 +12,12 @@ from edream.core.stage import Artifact, Bundle, Source, Stage, Work
 from edream.ingest.stored import stored_episodes
 from edream.learn.checkpoint import fill, weights_digest
 from edream.learn.determinism import deterministic
+from edream.learn.device import device_of
 from edream.learn.policy import FittedPolicy, masked_l1
 from edream.learn.training import AVERAGE, new_state, part, train
 from edream.practice.about import ABOUT, WEIGHTS, PolicyAbout
 from edream.practice.demonstrations import ChunkBatches
-from edream.practice.options import PolicyOptions, SftOptions, device_of
+from edream.practice.options import PolicyOptions, SftOptions
 from edream.practice.sampling import about_of, demonstrations, held_out, with_twins
 
 
@@ -68,7 +69,7 @@ def run(inputs: Mapping[str, Artifact], config: SftConfig, work: Work) -> Bundle
 
 def _trained(about: PolicyAbout, batches: ChunkBatches, judge: ChunkBatches, config: SftConfig, work: Work) -> Sequence[Artifact]:
     """Every piece of the training, one after another, each from where the last one ended."""
-    device = device_of(config.policy.device)
+    device = device_of(config.policy.device, "policy.device")
     network = about.network(seed=config.seed).to(device)
     schedule = config.sft.train
 

@@ -6,8 +6,9 @@ from typing import Any
 import torch
 
 from edream.learn.checkpoint import fill
+from edream.learn.device import device_of
 from edream.vision.dreamer import DreamModel
-from edream.vision.variants import DreamOptions, Variant, device_of, new_model
+from edream.vision.variants import DreamOptions, Variant, new_model
 
 CODEC = "codec.safetensors"
 
@@ -36,4 +37,4 @@ def loaded(trained: Mapping[str, Any], options: DreamOptions, variant: Variant, 
         fill(model.codec, {name: torch.from_numpy(array) for name, array in trained[CODEC].items()}, CODEC)
     name = file_of(variant.name)
     fill(model.denoiser, {key: torch.from_numpy(array) for key, array in trained[name].items()}, name)
-    return model.eval().to(device_of(options))
+    return model.eval().to(device_of(options.device, "dream.device"))

@@ -3,8 +3,6 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-import torch
-
 from edream.core.errors import EdreamError
 from edream.learn.training import Schedule
 from edream.vision.clips import SOURCES, Jitter
@@ -81,23 +79,3 @@ def new_model(options: DreamOptions, variant: Variant, seed: int) -> DreamModel:
         EdreamError: an entry, option or weights file is wrong.
     """
     return DreamModel.of(options.codec, options.denoiser, variant.objective, seed)
-
-
-def device_of(options: DreamOptions) -> torch.device:
-    """Where to train.
-
-    Raises:
-        EdreamError: a GPU is asked for and there is none.
-    """
-    return device_called(options.device)
-
-
-def device_called(name: str) -> torch.device:
-    """The device of a setting `dream.device`: auto, cpu or cuda.
-
-    Raises:
-        EdreamError: a GPU is asked for and there is none.
-    """
-    if name == "cuda" and not torch.cuda.is_available():
-        raise EdreamError("dream.device is cuda, but torch finds no GPU here; use dream.device=auto.")
-    return torch.device("cuda" if name != "cpu" and torch.cuda.is_available() else "cpu")

@@ -11,12 +11,13 @@ import torch
 from edream.core.errors import EdreamError
 from edream.learn import ranks
 from edream.learn.checkpoint import weights_digest
+from edream.learn.device import device_of
 from edream.learn.training import Schedule
 from edream.stages.dream import Trainer
 from edream.vision.batches import Batches, KeptLatents
 from edream.vision.clips import images as as_tensor
 from edream.vision.dreamer import Part, encoded, new_codec
-from edream.vision.variants import DreamOptions, device_of, new_model, variants
+from edream.vision.variants import DreamOptions, new_model, variants
 from tests.dreams import small_scenes
 
 TINY = DreamOptions(
@@ -144,5 +145,5 @@ def test_narrow_numbers_are_used_inside_and_loss_and_state_stay_wide(tmp_path: P
 def test_a_gpu_that_is_asked_for_and_not_there_is_a_sentence() -> None:
     if torch.cuda.is_available():
         pytest.skip("there is one")
-    with pytest.raises(EdreamError, match="no GPU"):
-        device_of(replace(TINY, device="cuda"))
+    with pytest.raises(EdreamError, match=r"dream\.device is cuda, .* no GPU"):
+        device_of("cuda", "dream.device")

@@ -1,0 +1,20 @@
+"""Where networks are trained and run."""
+
+import torch
+
+from edream.core.errors import EdreamError
+
+
+def device_of(asked: str, setting: str) -> torch.device:
+    """The device that a setting asks for.
+
+    Args:
+        asked: auto, cpu or cuda.
+        setting: its name in the config, for the error.
+
+    Raises:
+        EdreamError: a GPU is asked for and there is none.
+    """
+    if asked == "cuda" and not torch.cuda.is_available():
+        raise EdreamError(f"{setting} is cuda, but torch finds no GPU here; use {setting}=auto.")
+    return torch.device("cuda" if asked != "cpu" and torch.cuda.is_available() else "cpu")
