@@ -14,10 +14,11 @@ import torch
 
 from edream import config
 from edream.learn.determinism import threads
+from edream.learn.device import device_of
 from edream.stages.dream import DreamConfig
 from edream.vision.clips import Clip
 from edream.vision.dreamer import Dreamer, Render
-from edream.vision.variants import DREAM, Variant, device_of, new_model
+from edream.vision.variants import DREAM, Variant, new_model
 
 
 def timed(work: Callable[[], object], repeats: int, cuda: bool) -> dict[str, float]:
@@ -45,7 +46,7 @@ def main() -> None:
     given = asked.parse_args()
     torch.set_num_threads(threads())
     options = config.read(config.compose([f"dream={given.conf}", *given.overrides]), DreamConfig).dream
-    device = device_of(options)
+    device = device_of(options.device, "dream.device")
     model = new_model(options, Variant(DREAM, options.objective, {"real": 1.0}), 0).to(device)
     h, w, frames = given.height, given.width, options.frames
 
