@@ -25,6 +25,7 @@ class Scale:
         gravity: typical gravity torque [N m].
         inertia: inertia seen by the joint, armature included [kg m^2].
         kp: position gain of the nominal joint [N m/rad].
+        damping: all damping of the nominal joint, the servo's included [N m s/rad].
         limit: largest torque of the nominal joint, infinite where there is none [N m].
         speed: a brisk speed [rad/s].
         span: a third of the joint's range [rad], centred at `middle`.
@@ -37,6 +38,7 @@ class Scale:
     gravity: float
     inertia: float
     kp: float
+    damping: float
     limit: float
     speed: float
     span: float
@@ -55,6 +57,8 @@ class Kind:
         absent: values at which it is not there.
         draw: plausible values that show.
         foreign: whether no library is expected to have it.
+        changes: the nuisance parameters that it changes. Those of its target stay at their nominal values, and its own change is
+            more than they may be off by; else the two might cancel, and nobody could call what is left an effect.
     """
 
     term: type[Term]
@@ -62,6 +66,7 @@ class Kind:
     absent: Mapping[str, float]
     draw: Draw
     foreign: bool = False
+    changes: tuple[str, ...] = ()
 
 
 def _sign(rng: np.random.Generator) -> float:
@@ -78,9 +83,13 @@ def _place(rng: np.random.Generator, s: Scale, share: float = 0.6) -> float:
 
 
 KINDS: Mapping[str, Kind] = {
-    "servo_gain": Kind(servo.ServoGain, "loaded", {"scale": 1.0}, lambda r, s: {"scale": r.uniform(0.55, 0.75)}),
+    "servo_gain": Kind(servo.ServoGain, "loaded", {"scale": 1.0}, lambda r, s: {"scale": r.uniform(0.5, 0.65)}, changes=("kp",)),
     "viscous": Kind(
-        friction.Viscous, "joint", {"coefficient": 0.0}, lambda r, s: {"coefficient": r.uniform(1, 2) * s.torque / s.speed}
+        friction.Viscous,
+        "joint",
+        {"coefficient": 0.0},
+        lambda r, s: {"coefficient": r.uniform(1, 2) * max(s.torque / s.speed, 0.6 * s.damping)},
+        changes=("kd", "damping"),
     ),
     "quadratic_drag": Kind(
         friction.QuadraticDrag,
@@ -88,7 +97,13 @@ KINDS: Mapping[str, Kind] = {
         {"coefficient": 0.0},
         lambda r, s: {"coefficient": r.uniform(1.5, 3) * s.torque / s.speed**2},
     ),
-    "coulomb": Kind(friction.Coulomb, "joint", {"torque": 0.0}, lambda r, s: {"torque": r.uniform(0.8, 1.6) * s.torque}),
+    "coulomb": Kind(
+        friction.Coulomb,
+        "joint",
+        {"torque": 0.0},
+        lambda r, s: {"torque": r.uniform(0.8, 1.6) * s.torque},
+        changes=("frictionloss",),
+    ),
     "asymmetric_coulomb": Kind(
         friction.AsymmetricCoulomb, "joint", {"torque": 0.0}, lambda r, s: {"torque": _sign(r) * r.uniform(0.7, 1.3) * s.torque}
     ),
@@ -143,7 +158,9 @@ KINDS: Mapping[str, Kind] = {
         lambda r, s: {"roll": _sign(r) * r.uniform(0.08, 0.2), "pitch": _sign(r) * r.uniform(0.08, 0.2)},
     ),
     "payload": Kind(body.Payload, "body", {"mass": 0.0, "x": 0.0, "y": 0.0, "z": 0.0}, _payload),
-    "armature": Kind(body.Armature, "joint", {"inertia": 0.0}, lambda r, s: {"inertia": r.uniform(0.7, 1.5) * s.inertia}),
+    "armature": Kind(
+        body.Armature, "joint", {"inertia": 0.0}, lambda r, s: {"inertia": r.uniform(0.7, 1.5) * s.inertia}, changes=("armature",)
+    ),
     "joint_compliance": Kind(
         body.JointCompliance, "loaded", {"compliance": 0.0}, lambda r, s: {"compliance": r.uniform(0.4, 0.65) / s.kp}
     ),

@@ -117,9 +117,6 @@ def draw(
     model = robot.model
     plant = nominal_plant(model)
     factor = {name: np.exp(rng.uniform(-1, 1, model.nv) * np.log1p(deviation)) for name in NUISANCE}
-    nuisance = {
-        name: {j: float(v) for j, v in zip(plant.joints, getattr(plant, name) * factor[name], strict=True)} for name in NUISANCE
-    }
     gravity = _gravity_scale(plant, model)
     effects = []
     for index, name in enumerate(names):
@@ -128,6 +125,11 @@ def draw(
         joint = plant.joints.index(targets[0]) if targets and sort.where != "body" else int(np.argmax(gravity))
         values = sort.draw(rng, _scale(plant, model, gravity, joint))
         effects.append(Hidden(name, targets, {k: float(v) for k, v in values.items()}))
+        for changed in sort.changes:
+            factor[changed][joint] = 1.0
+    nuisance = {
+        name: {j: float(v) for j, v in zip(plant.joints, getattr(plant, name) * factor[name], strict=True)} for name in NUISANCE
+    }
     return Truth(robot.name, tuple(effects), nuisance)
 
 
@@ -214,6 +216,7 @@ def _scale(plant: Plant, model: mujoco.MjModel, gravity: np.ndarray, joint: int)
         gravity=float(gravity[joint]),
         inertia=float(mass[0, joint, joint] + plant.armature[joint]),
         kp=float(plant.kp[joint]),
+        damping=float(plant.kd[joint] + plant.damping[joint]),
         limit=float(plant.limit[joint]),
         speed=float(1.2 * small),
         span=float(span),

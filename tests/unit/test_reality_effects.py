@@ -12,6 +12,7 @@ import edream
 from edream.core.errors import EdreamError
 from edream.reality.effects import KINDS
 from edream.reality.motions import commands
+from edream.reality.plant import nominal_plant
 from edream.reality.recorder import Recorder, make_recordings
 from edream.reality.truth import Hidden, Truth, absent, draw, joint_range, seal, unseal
 from edream.record import RecordConfig, record, truth_path
@@ -158,3 +159,18 @@ def test_nothing_that_diagnoses_sees_the_truth() -> None:
             continue
         assert not any(name.startswith("edream.reality") for name in imports(path)), f"{path} imports edream.reality"
         assert "truth.json" not in path.read_text(encoding="utf-8") and "unseal" not in path.read_text(encoding="utf-8"), path
+
+
+@pytest.mark.parametrize("name", ["servo_gain", "viscous", "coulomb", "armature"])
+def test_a_hidden_change_of_a_usual_number_is_more_than_that_number_may_be_off_by(name: str) -> None:
+    for seed in range(20):
+        truth = draw(ARM6, [name], np.random.default_rng(seed), deviation=0.3)
+        (joint,) = truth.effects[0].targets
+        (value,) = truth.effects[0].values.values()
+        nominal = nominal_plant(ARM6.model)
+        column = nominal.joints.index(joint)
+        for number in KINDS[name].changes:
+            assert truth.nuisance[number][joint] == pytest.approx(getattr(nominal, number)[column])
+        usual = sum(float(getattr(nominal, number)[column]) for number in KINDS[name].changes)
+        change = value if name == "servo_gain" else 1.0 + value / usual
+        assert change < 0.68 or change > 1.35
