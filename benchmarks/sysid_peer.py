@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 from edream.core.effect import joint_index
-from edream.sim.least_squares import STEP
+from edream.sim.differences import STEP
 from edream.sim.objective import Objective
 from edream.sim.rollout import start_velocity
 

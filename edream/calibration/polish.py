@@ -4,11 +4,12 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from scipy.optimize import lsq_linear
 
 from edream.core.parameters import ParameterSpace
-from edream.sim.least_squares import Solution, jacobian_both_ways, solve, worth
+from edream.sim.differences import blocks, jacobian_along_axes, straight
+from edream.sim.least_squares import Solution, solve, worth
 from edream.sim.objective import Objective, rms
 from edream.sim.rollout import Window
 
@@ -75,7 +76,8 @@ def finish(objective: Any, values: Float[np.ndarray, "P"], iterations: int) -> S
     """The steps that an end still asks for, and the exact Jacobian there.
 
     Dry friction makes the loss rough: where one joint's step meets a kink, a step of all joints at once is refused for it. So each
-    group of parameters that acts on joints of its own takes the length that suits those joints.
+    group of parameters that acts on joints of its own takes the length that suits those joints. Differences go along the principal
+    axes of the Jacobian before; the first time, along single parameters.
 
     Args:
         values: where the search ended.
@@ -84,20 +86,26 @@ def finish(objective: Any, values: Float[np.ndarray, "P"], iterations: int) -> S
     space = objective.simulated.space
     unit, residual = space.to_unit(values), objective.residuals(values)[0]
     first, scale, settled = rms(residual), worth(objective, residual), not iterations
-    for _ in range(iterations):
-        slope = jacobian_both_ways(objective, space, unit, apart=True)
+    hessian = np.eye(len(unit))
+    for number in range(iterations):
+        slope = jacobian_along_axes(objective, unit, hessian, apart=True)
         moved, left = _step_by_blocks(objective, unit, residual, slope, scale)
-        settled = _cost(space, unit, residual, scale) - _cost(space, moved, left, scale) < LITTLE
-        unit, residual = moved, left
+        gained = _cost(space, unit, residual, scale) - _cost(space, moved, left, scale)
+        unit, residual, hessian = moved, left, _hessian(space, slope, scale)
+        settled = number > 0 and gained < LITTLE
         if settled:
             break
-    slope = jacobian_both_ways(objective, space, unit)
+    slope = jacobian_along_axes(objective, unit, hessian)
     return Solution(space, space.from_unit(unit), residual, slope, settled, first, rms(residual))
 
 
 def _cost(space: ParameterSpace, unit: np.ndarray, residual: np.ndarray, scale: float) -> float:
     centre, spread = space.unit_prior()
     return float(residual @ residual) / scale**2 + float((((unit - centre) / spread) ** 2).sum())
+
+
+def _hessian(space: ParameterSpace, slope: np.ndarray, scale: float) -> np.ndarray:
+    return slope.T @ slope / scale**2 + np.diag(space.unit_prior()[1] ** -2.0)
 
 
 def _step_by_blocks(
@@ -109,7 +117,7 @@ def _step_by_blocks(
     rows = np.concatenate([slope / scale, np.diag(1.0 / spread)])
     wanted = -np.concatenate([residual / scale, (unit - centre) / spread])
     move = lsq_linear(rows, wanted, bounds=(-unit - 1e-12, 1.0 - unit + 1e-12)).x
-    units = np.clip(unit + np.outer((0.0, *LENGTHS), move), 0.0, 1.0)
+    units = np.vstack([unit, straight(space, unit, np.outer(LENGTHS, move))])
     left = np.vstack([residual, objective.residuals(space.from_unit(units[1:]))])
     by_joint = (left.reshape(len(left), -1, acts.shape[1]) ** 2).sum(axis=1) / scale**2  # (length, joint)
     apart = ((units - centre) / spread) ** 2
@@ -119,16 +127,6 @@ def _step_by_blocks(
     units, left = np.vstack([units, mixed]), np.vstack([left, objective.residuals(space.from_unit(mixed))])
     best = int(np.argmin([_cost(space, u, r, scale) for u, r in zip(units, left, strict=True)]))
     return units[best], left[best]
-
-
-def blocks(acts: Bool[np.ndarray, "P J"]) -> list[list[int]]:
-    """Parameters in groups that act on joints of their own."""
-    found: list[tuple[list[int], np.ndarray]] = []
-    for number, joints in enumerate(acts):
-        touching = [block for block in found if (block[1] & joints).any()]
-        merged = ([*(n for block in touching for n in block[0]), number], np.any([joints, *(b[1] for b in touching)], axis=0))
-        found = [block for block in found if not (block[1] & joints).any()] + [merged]
-    return [sorted(numbers) for numbers, _ in found]
 
 
 def short_pieces(windows: Any) -> list[Window]:

@@ -85,8 +85,7 @@ def forward(problem: Problem, fit: Fit, done: Callable[[str, int], object] = lam
         rounds.append(Round(fit, errors, scored, trials, taken))
         if taken is None:
             break
-        fit = arrived(problem, fit, taken)
-        fit = polish(fit) if is_brief(fit) else fit
+        fit = polish(arrived(problem, fit, taken))
     return fit, rounds
 
 

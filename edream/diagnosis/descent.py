@@ -1,6 +1,5 @@
 """Warm-started refits that reuse a Jacobian: cheap enough to try every serious candidate with all nuisance numbers free."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -9,7 +8,8 @@ from jaxtyping import Bool, Float
 from scipy.optimize import lsq_linear
 
 from edream.core.parameters import ParameterSpace
-from edream.sim.least_squares import jacobian, jacobian_both_ways, worth
+from edream.sim.differences import jacobian, jacobian_along_axes, straight
+from edream.sim.least_squares import worth
 from edream.sim.objective import Objective, rms
 from edream.sim.rollout import Window
 
@@ -51,6 +51,10 @@ class Fit:
     def rms(self) -> float:
         return rms(self.residual)
 
+    def hessian(self) -> Float[np.ndarray, "P P"]:
+        """Of half the cost in the unit box, with its priors."""
+        return self.jacobian.T @ self.jacobian / self.scale**2 + np.diag(self.space.unit_prior()[1] ** -2.0)
+
     def covariance(self) -> Float[np.ndarray, "P P"]:
         """Covariance of the unit-box parameters, robust to errors that differ between motions and last long within one.
 
@@ -61,8 +65,7 @@ class Fit:
         """
         _, spread = self.space.unit_prior()
         prior = np.diag(np.where(np.isfinite(spread), spread, np.inf) ** -2.0)
-        hessian = self.jacobian.T @ self.jacobian / self.scale**2 + prior
-        inverse = np.linalg.pinv(hessian, hermitian=True)
+        inverse = np.linalg.pinv(self.hessian(), hermitian=True)
         weighted = self.jacobian * self.residual[:, None] / self.scale**2
         count = int(self.objective.owner[-1]) + 1
         scores = np.stack([weighted[self.objective.owner == m].sum(axis=0) for m in range(count)])
@@ -139,9 +142,9 @@ def descend(fit: Fit, fresh: Bool[np.ndarray, "P"] | None = None, iterations: in
     for _ in range(iterations):
         move = step_from(fit)
         before, promised = cost(fit), cost(replace(fit, unit=fit.unit + move, residual=fit.residual + fit.jacobian @ move))
-        tried = _tried(fit, move, (1.0,))
+        tried = _tried(fit, np.clip([fit.unit + move], 0.0, 1.0))
         if before - tried[0][0] < WORD * (before - promised):
-            tried += _tried(fit, move, SHORTER)
+            tried += _tried(fit, np.clip(fit.unit + np.outer(SHORTER, move), 0.0, 1.0))
         after, unit, residual = min(tried, key=lambda one: one[0])
         if not after < before:
             if doubted or iterations < PATIENT:
@@ -156,13 +159,18 @@ def descend(fit: Fit, fresh: Bool[np.ndarray, "P"] | None = None, iterations: in
     return fit
 
 
-def polish(fit: Fit, iterations: int = 3) -> Fit:
-    """Go down with central differences over wider steps, which the kinks of dry friction lead astray less."""
+def polish(fit: Fit, iterations: int = 5) -> Fit:
+    """Go down to the end, also along a valley that is all but flat; the Jacobian at the end is fit for intervals.
+
+    Differences go along the principal axes of the last Jacobian, and steps straight in the parameters' own units.
+    """
     for _ in range(iterations):
-        slope = jacobian_both_ways(fit.objective, fit.space, fit.unit)
+        slope = jacobian_along_axes(fit.objective, fit.unit, fit.hessian())
         fit = replace(fit, jacobian=slope, scale=worth(fit.objective, fit.residual))
-        before = cost(fit)
-        after, unit, residual = min(_tried(fit, step_from(fit), (1.0, *SHORTER)), key=lambda one: one[0])
+        before, move = cost(fit), step_from(fit)
+        after, unit, residual = min(
+            _tried(fit, straight(fit.space, fit.unit, np.outer((1.0, *SHORTER), move))), key=lambda one: one[0]
+        )
         if not after < before:
             break
         fit = replace(fit, unit=unit, residual=residual)
@@ -171,9 +179,8 @@ def polish(fit: Fit, iterations: int = 3) -> Fit:
     return fit
 
 
-def _tried(fit: Fit, move: np.ndarray, lengths: Sequence[float]) -> list[tuple[float, np.ndarray, np.ndarray]]:
-    """Cost, place and residual after a step at several lengths."""
-    units = np.clip(fit.unit + np.outer(lengths, move), 0.0, 1.0)
+def _tried(fit: Fit, units: Float[np.ndarray, "N P"]) -> list[tuple[float, np.ndarray, np.ndarray]]:
+    """Cost, place and residual at several places."""
     residuals = fit.objective.residuals(fit.space.from_unit(units))
     return [(cost(replace(fit, unit=u, residual=r)), u, r) for u, r in zip(units, residuals, strict=True)]
 

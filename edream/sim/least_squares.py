@@ -3,17 +3,16 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from scipy.optimize import least_squares
 
 from edream.core.parameters import ParameterSpace
+from edream.sim.differences import STEP, jacobian, nearly, sharing
 from edream.sim.objective import Objective, rms
 
 REFRESH = 3
 NEVER = 10**6
 COARSE = 3e-3  # relative step that ends a search with a cheap Jacobian, whose smaller steps lead nowhere
-STEP = 2e-3  # of the unit box: large enough to cross the kinks of dry friction, small enough to be a derivative
-WIDE = 6e-3  # of the unit box, to either side: where kinks matter more than curvature, at the end of a fit
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,71 +35,6 @@ class Solution:
     converged: bool
     start_rms: float
     rms: float
-
-
-def jacobian(
-    objective: Objective, space: ParameterSpace, unit: Float[np.ndarray, "P"], base: Float[np.ndarray, "R"]
-) -> Float[np.ndarray, "R P"]:
-    """Forward differences in the unit box, each towards the inside, all simulated in one batch."""
-    steps = np.where(unit + STEP <= 1.0, STEP, -STEP)
-    moved = objective.residuals(space.from_unit(unit + np.diag(steps)))
-    return ((moved - base) / steps[:, None]).T
-
-
-def jacobian_both_ways(
-    objective: Objective, space: ParameterSpace, unit: Float[np.ndarray, "P"], apart: bool = False
-) -> Float[np.ndarray, "R P"]:
-    """Central differences over wider steps in the unit box, where kinks count less; at a bound, towards the inside.
-
-    Args:
-        apart: as if a parameter moved only the joints it acts on, so that parameters of different joints share a simulation.
-    """
-    acts = objective.acts_on
-    high, low = np.minimum(unit + WIDE, 1.0), np.maximum(unit - WIDE, 0.0)
-    groups = sharing(acts) if apart else [[number] for number in range(len(unit))]
-    picked = np.array([np.isin(np.arange(len(unit)), group) for group in groups])
-    moved = objective.residuals(space.from_unit(np.vstack([np.where(picked, high, unit), np.where(picked, low, unit)])))
-    slope = np.zeros((moved.shape[1], len(unit)))
-    for difference, group in zip(moved[: len(groups)] - moved[len(groups) :], groups, strict=True):
-        for p in group:
-            rows = difference.reshape(-1, acts.shape[1])
-            slope[:, p] = (np.where(acts[p], rows, 0.0) if apart else rows).ravel() / (high - low)[p]
-    return slope
-
-
-def nearly(
-    objective: Objective, space: ParameterSpace, unit: Float[np.ndarray, "P"], base: Float[np.ndarray, "R"]
-) -> Float[np.ndarray, "R P"]:
-    """The Jacobian as if a parameter of one joint moved that joint alone: those of different joints share a simulation.
-
-    With four parameters on each of six joints that takes 4 simulations instead of 24. What joints do to each other is left to
-    Broyden's updates; near a solution with small residuals the fit ends at the same place.
-    Source: Curtis, Powell, Reid, J. Inst. Maths Applics 13, 1974, for columns that share no rows.
-    """
-    acts = objective.acts_on
-    groups = sharing(acts)
-    steps = np.where(unit + STEP <= 1.0, STEP, -STEP)
-    moves = np.array([np.where(np.isin(np.arange(len(unit)), group), steps, 0.0) for group in groups])
-    moved = objective.residuals(space.from_unit(unit + moves)) - base
-    slope = np.zeros((len(base), len(unit)))
-    for difference, group in zip(moved, groups, strict=True):
-        rows = difference.reshape(-1, acts.shape[1])
-        for p in group:
-            slope[:, p] = np.where(acts[p], rows / steps[p], 0.0).ravel()
-    return slope
-
-
-def sharing(acts: Bool[np.ndarray, "P J"]) -> list[list[int]]:
-    """Parameters dealt into as few groups as comes easily, so that no two of a group act on the same joint."""
-    groups: list[tuple[list[int], np.ndarray]] = []
-    for p, joints in enumerate(acts):
-        free = next((group for group in groups if not (group[1] & joints).any()), None)
-        if free is None:
-            free = ([], np.zeros(acts.shape[1], bool))
-            groups.append(free)
-        free[0].append(p)
-        free[1][:] |= joints
-    return [members for members, _ in groups]
 
 
 class Slopes:

@@ -24,8 +24,8 @@ from edream.core.episode import Episode
 from edream.core.errors import require
 from edream.core.stage import Artifact, Bundle, Source, Stage, Work
 from edream.ingest.stored import stored_episodes
+from edream.sim.differences import jacobian
 from edream.sim.emit import emit
-from edream.sim.least_squares import jacobian
 from edream.sim.objective import Objective
 from edream.sim.rollout import whole
 from edream.sim.simulation import SimulatedRobot
@@ -245,5 +245,5 @@ def sources(config: FitConfig) -> Mapping[str, Source]:
 
 
 ENTRY = Stage(
-    name="fit", version=3, needs=needs, config=FitConfig, run=run, sources=sources, numerics=("mujoco", "scipy", "cma", "torch")
+    name="fit", version=4, needs=needs, config=FitConfig, run=run, sources=sources, numerics=("mujoco", "scipy", "cma", "torch")
 )

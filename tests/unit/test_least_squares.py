@@ -1,9 +1,15 @@
 """Jacobians that share simulations lead to the same place as exact ones, for less."""
 
-import numpy as np
+from types import SimpleNamespace
+from typing import Any
 
-from edream.calibration.polish import blocks, finish
-from edream.sim.least_squares import jacobian, nearly, sharing, solve
+import numpy as np
+import pytest
+
+from edream.calibration.polish import finish
+from edream.core.parameters import Parameter, ParameterSpace
+from edream.sim.differences import blocks, jacobian, jacobian_along_axes, nearly, sharing, straight
+from edream.sim.least_squares import solve
 from edream.sim.objective import Objective, rms
 from edream.sim.rollout import whole
 from tests.recovery.planted import arm, motions, plant
@@ -73,3 +79,58 @@ def test_one_joint_that_cannot_step_does_not_hold_up_the_others() -> None:
     found = finish(one, space.from_unit(start), 8)
     assert found.rms < 1.1 * rms(rough(end))
     assert abs(space.to_unit(found.values)[last] - start[last]) < 1e-6
+
+
+SCALED = ParameterSpace(
+    (
+        Parameter("gain", "N m/rad", 1.0, 100.0, 20.0, scale="log"),
+        Parameter("friction", "N m", 0.0, 1.0, 0.1),
+        Parameter("drag", "N m s^2/rad^2", 0.0, 2.0, 0.3),
+    )
+)
+
+
+def test_torques_that_grow_by_one_factor_go_straight_in_their_own_units() -> None:
+    values = SCALED.start()
+    unit = SCALED.to_unit(values)
+    move = SCALED.to_unit(1.01 * values) - SCALED.to_unit(0.99 * values)  # a fiftieth of each value
+    half, half_again = SCALED.from_unit(straight(SCALED, unit, np.outer([25.0, 75.0], move)))
+    np.testing.assert_allclose(half, 1.5 * values, rtol=1e-3)
+    np.testing.assert_allclose(half_again, 2.5 * values, rtol=1e-3)
+    np.testing.assert_allclose(SCALED.from_unit(straight(SCALED, unit, 1e4 * move[None])), [[100.0, 1.0, 2.0]])
+
+
+def rough(flat: float) -> Any:
+    """Two parameters, of which almost only the sum shows; each has kinks of its own, as dry friction has."""
+    space = ParameterSpace(tuple(Parameter(name, "N m", 0.0, 1.0, 0.5) for name in "ab"))
+    rng = np.random.default_rng(0)
+    both, apart, phase = rng.normal(size=400), rng.normal(size=400), rng.uniform(0.0, 6.28, (400, 2))
+
+    def residuals(values: np.ndarray) -> np.ndarray:
+        a, b = np.atleast_2d(values).T[:, :, None]
+        kinks = 3e-4 * (np.sin(2e3 * a + phase[:, 0]) + np.sin(2e3 * b + phase[:, 1]))
+        return (a + b - 1.0) * both + flat * (a - b) * apart + kinks
+
+    return SimpleNamespace(simulated=SimpleNamespace(space=space), acts_on=np.ones((2, 1), bool), residuals=residuals)
+
+
+def test_a_long_difference_along_a_flat_valley_sees_how_flat_it_is() -> None:
+    flat, unit, along = 0.01, np.full(2, 0.5), np.array([1.0, -1.0]) / np.sqrt(2.0)
+    one = rough(flat)
+    singly = jacobian_along_axes(one, unit, np.eye(2))
+    again = jacobian_along_axes(one, unit, singly.T @ singly)
+    true = np.linalg.norm(jacobian_along_axes(rough(10.0), unit, np.eye(2)) @ along) * flat / 10.0
+    off = [abs(np.linalg.norm(slope @ along) / true - 1.0) for slope in (singly, again)]
+    assert off[0] > 0.3 and off[1] < 0.2
+
+
+@pytest.mark.parametrize("apart", [False, True])
+def test_differences_along_axes_are_the_jacobian(apart: bool) -> None:
+    one = objective()
+    space = one.simulated.space
+    unit = space.to_unit(space.start())
+    base = one.residuals(space.start())[0]
+    exact, own = jacobian(one, space, unit, base), nearly(one, space, unit, base) != 0.0
+    found = jacobian_along_axes(one, unit, exact.T @ exact + np.eye(len(unit)), apart)
+    likeness = [np.corrcoef(exact[own[:, p], p], found[own[:, p], p])[0, 1] for p in range(len(unit))]
+    assert np.median(likeness) > 0.95 and min(likeness) > 0.5
