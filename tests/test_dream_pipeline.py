@@ -69,8 +69,11 @@ def test_dream_goes_from_recordings_to_a_page_with_strips(made) -> None:
     assert {"plate", "composite real", "dream real", "dream sim", "dream crop", "regression real", "no objects", "real"} <= labels
     assert np.isfinite(summary["psnr"]) and 0.0 <= summary["silhouette_iou"] <= 1.0
     assert artifacts["masks"]["summary.json"]["iou_mean"] > 0.5
+    parts = {"object", "robot", "not object"}
+    for row in (row for row in rows if row["label"] != "real"):
+        assert all(parts <= set(found) for name, found in row.items() if name not in ("label", "silhouette_iou")), row
     page = artifacts["report"]["report.html"]
-    assert page.count("data:image/png;base64,") >= 6 and 'src="http' not in page
+    assert "By part of the image" in page and page.count("data:image/png;base64,") >= 6 and 'src="http' not in page
 
 
 def test_a_second_run_makes_nothing_anew(made) -> None:

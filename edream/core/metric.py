@@ -1,6 +1,7 @@
 """A metric: one number that says how near dreamed video is to real video."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Literal
 
@@ -8,6 +9,7 @@ import numpy as np
 from jaxtyping import Bool, UInt8
 
 Clips = UInt8[np.ndarray, "N T H W 3"]
+Regions = Mapping[str, Bool[np.ndarray, "N T H W"]]
 
 
 class Metric(ABC):
@@ -40,3 +42,7 @@ class Metric(ABC):
     @abstractmethod
     def score(self, made: Clips, real: Clips, region: Bool[np.ndarray, "N T H W"]) -> float | None:
         """The number over the pixels of a region; metrics that are not regional take whole images. None where nothing is there."""
+
+    def each(self, made: Clips, real: Clips, where: Regions) -> dict[str, float | None]:
+        """The number over each of several regions; metrics for which most of the work is the same in all of them do it once."""
+        return {name: self.score(made, real, region) for name, region in where.items()}

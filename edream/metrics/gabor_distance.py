@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Bool
 
-from edream.core.metric import Clips, Metric
+from edream.core.metric import Clips, Metric, Regions
 from edream.vision.features import energies
 
 
@@ -20,16 +20,21 @@ class GaborDistance(Metric):
     regional = True
 
     def score(self, made: Clips, real: Clips, region: Bool[np.ndarray, "N T H W"]) -> float | None:
-        apart, size, count = np.zeros(18), np.zeros(18), 0
-        for one, other, where in zip(made, real, region, strict=True):
-            for t in range(0, len(one), 2):
-                w = where[t]
-                if w.any():
-                    a, b = energies(one[t])[w], energies(other[t])[w]
-                    apart += np.square(a - b).sum(axis=0)
-                    size += np.square(b).sum(axis=0)
-                    count += len(a)
-        return None if not count else float(np.sqrt(np.mean(apart / np.maximum(size, 1e-12))))
+        return self.each(made, real, {"": region})[""]
+
+    def each(self, made: Clips, real: Clips, where: Regions) -> dict[str, float | None]:
+        apart, size = ({name: np.zeros(18) for name in where} for _ in range(2))
+        for n in range(len(made)):
+            for t in range(0, made.shape[1], 2):
+                a, b = energies(made[n, t]), energies(real[n, t])
+                for name, region in where.items():
+                    w = region[n, t]
+                    apart[name] += np.square(a[w] - b[w]).sum(axis=0)
+                    size[name] += np.square(b[w]).sum(axis=0)
+        return {
+            name: float(np.sqrt(np.mean(apart[name] / np.maximum(size[name], 1e-12)))) if size[name].any() else None
+            for name in where
+        }
 
 
 ENTRY = GaborDistance()

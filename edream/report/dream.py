@@ -25,6 +25,15 @@ COLUMNS = (  # metric, region, heading
     ("flicker", "background", "flicker (1 is right)"),
     ("silhouette_iou", "robot", "silhouette IoU"),
 )
+PARTS = {"object": "object", "robot": "robot", "not object": "outside"}  # region, heading
+SPLIT = {
+    "psnr": "PSNR [dB]",
+    "ssim": "SSIM",
+    "lpips": "LPIPS",
+    "gabor_distance": "Gabor distance",
+    "gabor_frechet": "Gabor Fréchet",
+    "flicker": "flicker",
+}
 MOVING = {"moving-worst.png": "Worst clip", "moving.png": "Median clip", "moving-best.png": "Best clip"}
 COLOURS = (AFTER, BEFORE, PUBLISHED, COMMAND)
 
@@ -47,6 +56,7 @@ def dream_page(made: Mapping[str, Mapping[str, Any]], robot: str) -> str:
         "tiles": _tiles(summary),
         "columns": [heading for _, _, heading in columns],
         "rows": [{"label": row["label"], "cells": [_cell(row, m, r) for m, r, _ in columns]} for row in scores["rows"]],
+        "parts": _split(scores["rows"]),
         "learned": learned_words(scores),
         "long": scores["long"],
         "moving": [
@@ -76,6 +86,14 @@ def dream_page(made: Mapping[str, Mapping[str, Any]], robot: str) -> str:
         "recordings": about_recordings(made["ingest"]),
     }
     return page("dream.html.j2", content)
+
+
+def _split(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """What networks made, by part of the image, with and without object segmentation: every metric that has parts."""
+    made = [row for row in rows if row["label"].split()[0] not in ("plate", "composite", "held", "real")]
+    metrics = {name: title for name, title in SPLIT.items() if any(set(PARTS) <= set(row.get(name, {})) for row in made)}
+    cells = [{"label": row["label"], "cells": [_cell(row, metric, part) for metric in metrics for part in PARTS]} for row in made]
+    return {"metrics": list(metrics.values()), "names": list(PARTS.values()), "rows": cells if len(made) > 1 else []}
 
 
 def learned_words(scores: Mapping[str, Any]) -> str:

@@ -29,10 +29,11 @@ class Plate(Segmenter):
         for t, image in enumerate(footage.real):
             seen = image * gain[t]
             far = np.abs(seen - plate).max(axis=2) > float(o["difference"])
-            sure_robot = grown(footage.robot[t] > 8, int(o["rim"]))
-            rough = far & ~_shadow(seen, plate, float(o["shadow_low"]), float(o["shadow_angle"])) & ~sure_robot
-            rough = _solid(rough, int(o["smallest"]))
-            found[t] = _cut(image, rough, sure_robot) if o["grabcut"] and rough.any() else rough
+            differs = far & ~_shadow(seen, plate, float(o["shadow_low"]), float(o["shadow_angle"]))
+            near_robot = grown(footage.robot[t] > 8, int(o["rim"]))
+            rough = _solid(differs & ~near_robot, int(o["smallest"]))
+            robot = footage.robot[t] > 127
+            found[t] = _cut(image, rough, robot, near_robot & differs & ~robot) if o["grabcut"] and rough.any() else rough
         return found
 
 
@@ -50,14 +51,16 @@ def _solid(mask: np.ndarray, smallest: int) -> np.ndarray:
     return np.take(large, np.asarray(labels, dtype=np.intp))
 
 
-def _cut(image: np.ndarray, rough: np.ndarray, robot: np.ndarray) -> np.ndarray:
-    """GrabCut on the part of the image around the objects, with the robot as sure background."""
+def _cut(image: np.ndarray, rough: np.ndarray, robot: np.ndarray, rim: np.ndarray) -> np.ndarray:
+    """GrabCut on the part of the image around the objects, with the robot as sure background; of its rim, where the simulated
+    robot may be a little off, colour decides, or a thing that is held would lose what lies between the fingers."""
     ys, xs = np.nonzero(rough)
     h, w = rough.shape
-    y0, y1, x0, x1 = max(0, ys.min() - 4), min(h, ys.max() + 5), max(0, xs.min() - 4), min(w, xs.max() + 5)
+    y0, y1, x0, x1 = max(0, ys.min() - 8), min(h, ys.max() + 9), max(0, xs.min() - 8), min(w, xs.max() + 9)
     part = slice(y0, y1), slice(x0, x1)
     near = grown(rough[part], 1)
     trimap = np.where(rough[part], cv2.GC_PR_FGD, np.where(near, cv2.GC_PR_BGD, cv2.GC_BGD)).astype(np.uint8)
+    trimap[rim[part]] = cv2.GC_PR_BGD
     trimap[robot[part]] = cv2.GC_BGD
     eroded = cv2.erode(rough[part].astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
     trimap[eroded] = cv2.GC_FGD
@@ -65,7 +68,7 @@ def _cut(image: np.ndarray, rough: np.ndarray, robot: np.ndarray) -> np.ndarray:
         return rough
     cv2.setRNGSeed(0)  # GrabCut's mixtures start at random
     cut = np.ascontiguousarray(image[part][:, :, ::-1])
-    cv2.grabCut(cut, trimap, None, np.zeros((1, 65)), np.zeros((1, 65)), 2, cv2.GC_INIT_WITH_MASK)  # type: ignore[call-overload]
+    cv2.grabCut(cut, trimap, None, np.zeros((1, 65)), np.zeros((1, 65)), 3, cv2.GC_INIT_WITH_MASK)  # type: ignore[call-overload]
     out = np.zeros_like(rough)
     out[part] = (trimap == cv2.GC_FGD) | (trimap == cv2.GC_PR_FGD)
     return out

@@ -158,4 +158,4 @@ def sources(config: MasksConfig) -> Mapping[str, Source]:
     }
 
 
-ENTRY = Stage("masks", 1, ("ingest", "render"), MasksConfig, run, sources, ("numpy", "opencv-python-headless"))
+ENTRY = Stage("masks", 2, ("ingest", "render"), MasksConfig, run, sources, ("numpy", "opencv-python-headless"))

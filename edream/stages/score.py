@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from edream import catalog
+from edream.core.metric import Clips
 from edream.core.stage import Artifact, Bundle, Source, Stage, Work
 from edream.ingest.layered import layered_images
 from edream.ingest.video import encode_image
@@ -16,7 +17,6 @@ from edream.vision.clips import STORED, Scenes, starts
 from edream.vision.dreamer import DreamModel
 from edream.vision.grain import Grain
 from edream.vision.judging import (
-    Clips,
     composites,
     drawn,
     held_still,
@@ -99,17 +99,16 @@ def run(inputs: Mapping[str, Artifact], config: ScoreConfig, work: Work) -> Bund
     bench = Bench(
         models, scenes, picked, options.frames, config.seed, sources, grains, asked.steps, options.overlap if options.known else 0
     )
-    later = {name: mask & (np.arange(options.frames) >= bench.given)[:, None, None] for name, mask in where.items()}
     named = tuple(dict.fromkeys(("psnr", *asked.metrics))) if asked.metrics else ()  # the sentence needs it
     metrics = ready_metrics(named, _weights(asked))
     clips: dict[str, Clips] = {}
     table: list[dict[str, Any]] = []
 
     def measured(row: Row, rng: np.random.Generator) -> Bundle:
-        made = row[1]()
-        found = scores(made, real, later if AFTER in row[0] else where, metrics) | {
-            "silhouette_iou": {"robot": silhouette_iou(made, scenes, picked, where)}
-        }
+        made, first = row[1](), bench.given if AFTER in row[0] else 0
+        parts = {name: mask[:, first:] for name, mask in where.items()}
+        found = scores(made[:, first:], real[:, first:], parts, metrics)
+        found |= {"silhouette_iou": {"robot": silhouette_iou(made, scenes, picked, where)}}
         return {"found.json": found, "made.safetensors": {"made": made}}
 
     with deterministic():
@@ -241,9 +240,10 @@ def _summary(
         "codec_psnr": trained["codec_psnr"],
         "weights_digest": trained["weights_digest"],
     }
-    regression = rows.get(f"{REGRESSION} {sources[0]}")
-    if regression is not None:
-        summary |= {f"regression_{name}": next(iter(row.values())) for name, row in regression.items() if name != "label"}
+    for words in ("", " with grain"):
+        row = rows.get(f"{REGRESSION} {sources[0]}{words}", {"label": ""})
+        prefix = f"{REGRESSION}{words}".replace(" ", "_")
+        summary |= {f"{prefix}_{name}": next(iter(value.values())) for name, value in row.items() if name != "label"}
     if WITHOUT in rows:
         for source in sources:
             both = [rows[label]["psnr"]["object"] for label in (f"{DREAM} {source}", WITHOUT)]
@@ -261,4 +261,4 @@ def sources(config: ScoreConfig) -> Mapping[str, Source]:
     return {f"metric {name}": path for name, path in _weights(config.score).items()}
 
 
-ENTRY = Stage("score", 2, ("condition", "dream"), ScoreConfig, run, sources, ("torch", "numpy", "scikit-image"))
+ENTRY = Stage("score", 3, ("condition", "dream"), ScoreConfig, run, sources, ("torch", "numpy", "scikit-image"))

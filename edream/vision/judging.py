@@ -6,18 +6,17 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Bool, UInt8
+from jaxtyping import Bool
 
 from edream import catalog
 from edream.core.errors import EdreamError, unknown_name
-from edream.core.metric import Metric
+from edream.core.metric import Clips, Metric, Regions
 from edream.vision.clips import Clip, Scenes, clip_of
 from edream.vision.dreamer import DreamModel, finished
 from edream.vision.grain import Grain
 from edream.vision.plate import brightness, grown
 
-Clips = UInt8[np.ndarray, "N T H W 3"]
-Regions = dict[str, Bool[np.ndarray, "N T H W"]]
+PARTS = ("object", "robot", "not object")  # into which every metric is split
 
 
 def real_clips(scenes: Scenes, picked: Sequence[tuple[int, int]], frames: int) -> Clips:
@@ -49,14 +48,16 @@ def drawn(
     steps: int | None = None,
     given: int = 0,
 ) -> Clips:
-    """Clips that the model makes of the conditions, and of the first `given` recorded images where that is above 0."""
+    """Clips that the model makes of the conditions, and of the first `given` recorded images, which stay as they are."""
     device = next(model.denoiser.parameters()).device
     found = []
     for number, first in picked:
         clip = clip_of(scenes, [(number, first, source)], frames).to(device)
         h, w = clip.real.shape[-2:]
         noise = model.noise(1, frames, h, w, seed, first).to(device)
-        found.append(finished(model.sample(clip, noise, steps, clip.real[:, :given] if given else None)[0], grain, seed, first))
+        made = finished(model.sample(clip, noise, steps, clip.real[:, :given] if given else None)[0], grain, seed, first)
+        made[:given] = scenes.layers[number]["real"][first : first + given]  # which had their noise already
+        found.append(made)
     return np.stack(found)
 
 
@@ -95,15 +96,25 @@ def ready_metrics(names: Sequence[str], weights: Mapping[str, Path]) -> dict[str
 
 
 def scores(made: Clips, real: Clips, where: Regions, metrics: Mapping[str, Metric]) -> dict[str, dict[str, float | None]]:
-    """Every metric over every region, metric -> region -> number; metrics that are not regional have "all" alone."""
+    """Every metric over every region, metric -> region -> number.
+
+    Metrics of whole images are taken over a part by putting that part into the real images: what that part alone costs. Learned
+    ones of them, which are slow, have "all" alone. Flicker's background is without what lies near moving edges.
+    """
+    parts = {part: where[part] for part in PARTS}
+    still = {"background": _still(where["background"]), **parts}  # moving edges would drown flicker
     found: dict[str, dict[str, float | None]] = {}
     for name, metric in metrics.items():
-        if name == "flicker":  # moving edges would drown it
-            found[name] = {"background": metric.score(made, real, _still(where["background"]))}
+        if metric.regional:
+            found[name] = metric.each(made, real, still if name == "flicker" else where)
         else:
-            areas = where if metric.regional and name != "ssim" else {"all": where["all"]}
-            found[name] = {area: metric.score(made, real, mask) for area, mask in areas.items()}
+            put = {} if metric.learned else {part: _put(made, real, region) for part, region in parts.items()}
+            found[name] = {area: metric.score(clips, real, where["all"]) for area, clips in {"all": made, **put}.items()}
     return found
+
+
+def _put(made: Clips, real: Clips, region: Bool[np.ndarray, "N T H W"]) -> Clips:
+    return np.where(region[..., None], made, real)
 
 
 def _still(background: Bool[np.ndarray, "N T H W"]) -> Bool[np.ndarray, "N T H W"]:

@@ -160,6 +160,9 @@ def test_a_metric_prefers_the_real_clip_and_less_noise(name: str) -> None:
     assert worse(0.0) < worse(10.0) < worse(40.0)
     if metric.regional:
         assert metric.score(real, real, np.zeros_like(region)) is None
+        made, left = real // 2, region & (np.arange(24) < 12)
+        each = metric.each(made, real, {"left": left, "nowhere": np.zeros_like(region), "all": region})
+        assert each == {"left": metric.score(made, real, left), "nowhere": None, "all": metric.score(made, real, region)}
 
 
 def footage() -> tuple[Footage, np.ndarray]:
@@ -183,6 +186,19 @@ def test_a_segmenter_finds_the_object_and_leaves_robot_and_shadow_out(name: str,
     found = catalog.load("segmenters", name, Segmenter).masks(seen, options)
     assert (found & truth).sum() / (found | truth).sum() > 0.8
     assert not (found & (seen.robot > 127)).any()
+
+
+def test_a_thing_that_the_robot_holds_is_found_up_to_the_fingers() -> None:
+    seen, truth = footage()
+    thing = np.array([200, 60, 30], np.uint8)
+    for t in range(8):
+        seen.real[t, 20:30, 8 + t : 10 + t], seen.robot[t, 20:30, 8 + t : 10 + t] = (30, 30, 35), 255
+        seen.real[t, 20:30, 16 + t : 18 + t], seen.robot[t, 20:30, 16 + t : 18 + t] = (30, 30, 35), 255
+        seen.real[t, 22:34, 10 + t : 16 + t], truth[t, 22:34, 10 + t : 16 + t] = thing, 1
+    found = catalog.load("segmenters", "plate", Segmenter).masks(seen, {})
+    between = np.stack([found[t, 23:29, 10 + t : 16 + t] for t in range(8)])
+    assert between.mean() > 0.8 and not (found & (seen.robot > 127)).any()
+    assert (found & truth).sum() / (found | truth).sum() > 0.8
 
 
 def test_segmenters_say_what_they_lack(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ from edream.learn.training import AVERAGE, Schedule, new_state, part, train
 from edream.vision.batches import Batches
 from edream.vision.clips import clip_of, composed, images
 from edream.vision.dreamer import Dreamer, DreamModel, Part, Render, finished
+from edream.vision.grain import Grain
 from edream.vision.judging import drawn, long_video, ready_metrics, real_clips, regions, scores, silhouette_iou
 from edream.vision.variants import DREAM, REGRESSION, WITHOUT, DreamOptions, new_model, variants
 from tests.dreams import small_scenes
@@ -95,6 +96,14 @@ def test_long_video_has_the_same_noise_in_every_chunk_and_keeps_what_it_has(tmp_
     assert np.isfinite(found["seam_ratio"]) and np.isfinite(found["drift_db"])
     with pytest.raises(EdreamError, match="overlap"):
         model.long(clip, 5, 4, 4)
+
+
+def test_images_that_are_given_stay_as_they_are(tmp_path: Path) -> None:
+    scenes, model = small_scenes(tmp_path), new_model(TINY, variants(TINY, ("real",))[0], 0)
+    made = drawn(model, scenes, [(2, 1)], 6, "real", 0, Grain((9.0,) * 8), None, 2)[0]
+    real = scenes.layers[2]["real"][1:7]
+    assert np.array_equal(made[:2], real[:2])
+    assert all(np.abs(made[i].astype(float) - real[i]).mean() > 1.0 for i in range(2, 6))
 
 
 def replace_frames(clip, count: int):
