@@ -140,6 +140,13 @@ def test_recordings_without_video_are_a_sentence(tmp_path: Path) -> None:
         pipeline.make("camera", cfg)
 
 
+def test_recordings_shorter_than_a_clip_are_said_before_anything_is_trained(made, recorded: Path) -> None:
+    cfg = settings(recorded, Path(made[0].runs), "dream.frames=40")
+    with pytest.raises(EdreamError, match=r"has 40 images \(the longest has 16\); lower dream\.frames"):
+        pipeline.make("dream", cfg)
+    assert not list(Path(made[0].runs).glob("dream/.work-*/dream-0000000"))
+
+
 def test_video_without_a_robot_model_becomes_conditions_too(recorded: Path, tmp_path: Path) -> None:
     cfg = settings(
         recorded, tmp_path / "runs", "render.model=none", "render.scene=null", "ingest.mapping.by=none", "masks.truth=null"

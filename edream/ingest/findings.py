@@ -1,6 +1,6 @@
 """What is noteworthy in one episode before anything is fitted to it: clock, encoder, units, shifts, colours."""
 
-from collections import Counter
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -15,6 +15,7 @@ GAP = 3.0  # a step this many times the median one is a gap
 LARGE = 10.0  # rad: no joint of an arm turns this far
 DEGREE = 180.0 / np.pi
 MAX_LAG = 0.5  # s
+NUMBER = re.compile(r"(?<![\w.])-?\d+(\.\d+)?(e[-+]?\d+)?")  # but not those in names, such as joint1
 PREVIEW = 240  # pixel
 
 
@@ -159,11 +160,14 @@ def summarise(found: Sequence[Findings]) -> tuple[str, ...]:
                 f"That differs by {spread * 1e3:.0f} ms between joints: different loads or servos, or readings taken "
                 "one after another."
             )
-    rest = Counter(sentence for one in found for sentence in one.sentences() if not _numeric(sentence))
-    said += [
-        f"{sentence} ({count} of {len(found)} episodes)"
-        for sentence, count in sorted(rest.items(), key=lambda item: (-item[1], item[0]))
-    ]
+    rest: dict[str, list[str]] = {}  # what differs by its numbers alone is one finding
+    for one in found:
+        for sentence in one.sentences():
+            if not _numeric(sentence):
+                rest.setdefault(NUMBER.sub("0", sentence), []).append(sentence)
+    for same in sorted(rest.values(), key=lambda some: (-len(some), some[0])):
+        such = "" if len(set(same)) == 1 else ", such as this"
+        said.append(f"{same[0]} ({len(same)} of {len(found)} episodes{such})")
     return tuple(said)
 
 

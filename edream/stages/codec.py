@@ -71,14 +71,14 @@ def run(inputs: Mapping[str, Artifact], config: CodecConfig, work: Work) -> Bund
 def _taught(options: CodecOptions, scenes: Scenes, seed: int, work: Work) -> Mapping[str, Any]:
     def fit(item: int, rng: np.random.Generator) -> Bundle:
         codec = new_codec(options.codec, seed)
-        found: list[float] = []
-        if options.codec_steps and options.codec.weights is None:
-            pictures = torch.cat([clip_of(scenes, [(n, f, "none")], 1).real[0] for n, f in starts(scenes, 1, False, 5)])
-            found = catalog.load("codecs", options.codec.kind, Codec).train(codec, pictures, options.codec_steps, seed)
         held = [
             clip_of(scenes, [(n, f, "none")], options.frames).real[0]
             for n, f in starts(scenes, options.frames, True, options.frames)
         ]
+        found: list[float] = []
+        if options.codec_steps and options.codec.weights is None:
+            pictures = torch.cat([clip_of(scenes, [(n, f, "none")], 1).real[0] for n, f in starts(scenes, 1, False, 5)])
+            found = catalog.load("codecs", options.codec.kind, Codec).train(codec, pictures, options.codec_steps, seed)
         return {CODEC: arrays(codec), "about.json": {"losses": found, "psnr": reconstruction_psnr(codec.eval(), held[:16])}}
 
     return work.shards("codec", [0], fit, parallel=False)[0]

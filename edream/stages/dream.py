@@ -42,6 +42,8 @@ def run(inputs: Mapping[str, Artifact], config: DreamConfig, work: Work) -> Bund
     losses: dict[str, list[float]] = {}
     with deterministic():
         trainer = Trainer.of(inputs, config, work.folder("images"))
+        for held in (True, False):  # said before anything is trained, rather than after
+            starts(trainer.scenes, options.frames, held, options.frames)
         for number, variant in enumerate(trainer.variants):
             state, losses[variant.name] = _trained(trainer, number, work)
             bundle[file_of(variant.name)] = {name: value.numpy() for name, value in part(state, AVERAGE).items()}

@@ -6,10 +6,11 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 
 from edream.core.episode import Episode
-from edream.core.errors import require
+from edream.core.errors import EdreamError, require
 from edream.core.format import Malformed, ReadOptions
 from edream.core.stage import Artifact, Bundle, Source, Stage, Work
 from edream.ingest.episode_file import write_episode
@@ -81,6 +82,7 @@ def run(inputs: Mapping[str, Artifact], config: IngestConfig, work: Work) -> Bun
     """Read, map and check the recordings one by one; each is kept as soon as it is written."""
     robot = load_robot(config.robot.mjcf)
     options = config.ingest
+    _check_units(robot, options.mapping)
     found = ingest_recordings(
         config.data,
         robot.joints,
@@ -103,6 +105,18 @@ def run(inputs: Mapping[str, Artifact], config: IngestConfig, work: Work) -> Bun
 
     shards = work.shards("episodes", _noting(found, seen), one, parallel=False)
     return _bundle(shards, robot.joints, summarise(seen))
+
+
+def _check_units(robot: RobotModel, mapping: MappingConfig) -> None:
+    """Refuse an angle for a joint that slides, and a length for one that turns: a gripper beside joints in degrees."""
+    for joint in robot.joints if mapping.by != "none" else ():
+        unit, slides = mapping.units.get(joint, mapping.unit), robot.model.joint(joint).type[0] == mujoco.mjtJoint.mjJNT_SLIDE
+        if unit in (("deg",) if slides else ("m", "mm")):
+            said = "slides, and is given in" if slides else "turns, and is given in"
+            raise EdreamError(
+                f"Joint {joint!r} {said} {unit!r}; give ingest.mapping.units.{joint}={'m or mm' if slides else 'rad or deg'}, or "
+                f"normalised with ingest.mapping.scale.{joint}."
+            )
 
 
 def _noting(found: Iterator[tuple[Episode, Findings] | Malformed], seen: list[Findings]) -> Iterator[Any]:

@@ -108,8 +108,9 @@ def scores(made: Clips, real: Clips, where: Regions, metrics: Mapping[str, Metri
         if metric.regional:
             found[name] = metric.each(made, real, still if name == "flicker" else where)
         else:
-            put = {} if metric.learned else {part: _put(made, real, region) for part, region in parts.items()}
-            found[name] = {area: metric.score(clips, real, where["all"]) for area, clips in {"all": made, **put}.items()}
+            found[name] = {"all": metric.score(made, real, where["all"])}
+            for part, region in () if metric.learned else parts.items():
+                found[name][part] = metric.score(_put(made, real, region), real, where["all"]) if region.any() else None
     return found
 
 

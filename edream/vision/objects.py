@@ -100,14 +100,14 @@ def moved(
         shift = now.mean() - factor * then.mean()
         matrix = np.array([[factor.real, -factor.imag, shift.real], [factor.imag, factor.real, shift.imag]])
     elif mask is not None and mask.any():
-        place, before = _place(mask), _place(crop.mask)
+        place, before = _place(_large(mask)), _place(_large(crop.mask))
         scale = np.sqrt(place[2] / before[2])
         matrix = np.array([[scale, 0, place[0] - scale * before[0]], [0, scale, place[1] - scale * before[1]]])
     else:
         return _nothing(crop)
     h, w = crop.mask.shape
     colour = cv2.warpAffine(crop.colour, matrix, (w, h), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    share = cv2.warpAffine(crop.mask * np.uint8(255), matrix, (w, h), flags=cv2.INTER_LINEAR)
+    share = cv2.warpAffine(_large(crop.mask) * np.uint8(255), matrix, (w, h), flags=cv2.INTER_LINEAR)
     return np.asarray(colour), np.asarray(share)
 
 
@@ -150,6 +150,16 @@ def _nothing(crop: Crop) -> tuple[np.ndarray, np.ndarray]:
 
 def _complex(points: np.ndarray) -> np.ndarray:
     return points[:, 0] + 1j * points[:, 1]
+
+
+def _large(mask: UInt8[np.ndarray, "H W"]) -> UInt8[np.ndarray, "H W"]:
+    """A mask without specks, which would draw its middle away: parts of less than a third of the largest one's area."""
+    count, labels, stats, _ = cv2.connectedComponentsWithStats((mask > 0).astype(np.uint8), connectivity=8)
+    if count < 3:
+        return mask
+    areas = stats[1:, cv2.CC_STAT_AREA]
+    kept = np.array([False, *(3 * areas >= areas.max())])
+    return mask * np.take(kept, np.asarray(labels, dtype=np.intp)).astype(mask.dtype)
 
 
 def _place(mask: np.ndarray) -> tuple[float, float, float]:

@@ -96,6 +96,14 @@ def test_the_colour_preview_shows_both_orders() -> None:
     assert image[0, 0].tolist() == [200, 0, 0] and image[0, 59].tolist() == [0, 0, 200]
 
 
+def test_what_differs_by_its_numbers_alone_is_said_once() -> None:
+    some = [episode(seed=seed) for seed in range(3)]
+    found = [find(replace(one, position=one.position * 60.0, command=one.command * 60.0)) for one in some]
+    said = [sentence for sentence in summarise(found) if "its position reaches" in sentence]
+    assert len(said) == 2 and all("(3 of 3 episodes, such as this)" in sentence for sentence in said)
+    assert "'a'" in said[0] and "'b'" in said[1]
+
+
 def test_a_data_set_is_summed_up() -> None:
     said = summarise([find(episode(0.06, seed)) for seed in range(3)])
     assert said[0].startswith("3 episodes at 100.00 to 100.00 Hz")

@@ -1,10 +1,12 @@
 """Channels become joints, in SI units, or a sentence says why not."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from edream import config, pipeline
 from edream.core.episode import Recording
 from edream.core.errors import EdreamError
 from edream.ingest.mapping import MappingConfig, map_recording, selected
@@ -88,3 +90,12 @@ def test_recordings_are_selected_by_name_or_task() -> None:
     recording = replace(sample_recording("episode_000003"), notes={"task": "chirp_sweep"})
     assert selected(recording, ()) and selected(recording, ("*_000003",)) and selected(recording, ("chirp*",))
     assert not selected(recording, ("sine*",))
+
+
+def test_degrees_for_a_gripper_that_slides_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "one.csv").write_text("t,a\n0,0\n1,1\n")
+    words = ["robot=arm6", f"data={tmp_path}", f"runs={tmp_path}/runs", "ingest.mapping.unit=deg"]
+    with pytest.raises(EdreamError, match=r"'gripper' slides, and is given in 'deg'; give ingest\.mapping\.units\.gripper=m or mm"):
+        pipeline.make("ingest", config.compose(words))
+    with pytest.raises(EdreamError, match=r"'joint1' turns, and is given in 'mm'"):
+        pipeline.make("ingest", config.compose([*words[:3], "ingest.mapping.unit=mm"]))

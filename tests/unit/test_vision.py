@@ -73,6 +73,9 @@ def test_a_crop_without_poses_takes_the_place_of_the_mask_but_not_its_pixels() -
     made, share = moved(Crop(colour, then, None), None, now)
     assert ((share > 127) == (now > 0)).mean() > 0.99 and (made[now > 0] == 200).all()
     assert not moved(Crop(colour, then, None), None, np.zeros_like(now))[1].any()
+    speck = now.copy()
+    speck[2:5, 2:5] = 1
+    assert np.array_equal(moved(Crop(colour, then, None), None, speck)[1], share), "a speck draws nothing away"
 
 
 def drawn_box(camera, pose: np.ndarray, colours: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
