@@ -38,13 +38,14 @@ dream-tiny: .venv/ready
 	  camera.file=$(TINY)/recorded.cameras.json render.scene=$(TINY)/recorded.scene.json masks.truth=$(TINY)/recorded.truth.masks.npz
 
 # Fifty demonstrations by an expert on a make-believe robot, its simulator calibrated, a policy trained on them and then on its own
-# trials, both judged over 200 starts in the stand-in reality: about 20 minutes on 2 free cores.
-POLICY := runs/policy-tiny
+# trials, both judged over 200 starts in the stand-in reality. Another robot, other demonstrations: SEED=2 POLICY=runs/policy-tiny-2.
+POLICY ?= runs/policy-tiny
+SEED ?= 1
 policy-tiny: export OMP_NUM_THREADS = 1
 policy-tiny: .venv/ready
-	test -d $(POLICY)/recorded || $(RUN)/edream record robot=arm6 task=grab_paper_cup record.episodes=50 record.out=$(POLICY)/recorded seed=1
+	test -d $(POLICY)/recorded || $(RUN)/edream record robot=arm6 task=grab_paper_cup record.episodes=50 record.out=$(POLICY)/recorded seed=$(SEED)
 	$(RUN)/edream train-policy robot=arm6_working task=grab_paper_cup data=$(POLICY)/recorded ingest.fps=25 runs=$(POLICY)/runs run=policy-tiny \
-	  seed=1 rollouts.eyes=composite sft.twins=true rank.margin=1 camera.file=$(POLICY)/recorded.cameras.json \
+	  seed=$(SEED) rollouts.eyes=composite sft.twins=true rank.margin=1 camera.file=$(POLICY)/recorded.cameras.json \
 	  rollouts.plate=$(POLICY)/recorded.plate.png render.scene=$(POLICY)/recorded.scene.json
 
 # The paper's table at the tiny size: four tasks, SFT with three views, SFT with one, RL with one; then the ablation: physics as published,

@@ -1,7 +1,7 @@
 """One round of learning from ranked trials: what a step looks at, and the loss."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pyarrow as pa
@@ -27,7 +27,8 @@ class RlOptions:
         train: how long and how fast a round learns.
         objective: beta, alpha, clip.
         likelihood: laplace or gaussian.
-        batch: pairs a step, or starts for objectives that learn from whole groups.
+        batch: what a step looks at: decisions, pairs of trials, or starts with all of their trials, as the objective has it; as
+            many as suit it where None.
         demonstrations: weight of the supervised loss on the demonstrations beside it.
         successes: weight of the same loss on the trials that succeeded, each start counting the same.
         slack: how much less likely the chosen trials may become before a round stops [nats for each number executed].
@@ -41,7 +42,7 @@ class RlOptions:
     train: Schedule = field(default_factory=Schedule)
     objective: PreferenceOptions = field(default_factory=PreferenceOptions)
     likelihood: str = "laplace"
-    batch: int = 4
+    batch: int | None = None
     demonstrations: float = 1.0
     successes: float = 1.0
     slack: float = 0.5
@@ -55,7 +56,8 @@ class RlOptions:
         require(self.likelihood in ("laplace", "gaussian"), "rl.likelihood", self.likelihood, "laplace or gaussian")
         for name in ("demonstrations", "successes", "slack"):
             require(getattr(self, name) >= 0.0, f"rl.{name}", getattr(self, name), "0 or more")
-        for name in ("batch", "checkpoint", "held"):
+        require(self.batch is None or self.batch >= 1, "rl.batch", self.batch, "at least 1, or null")
+        for name in ("checkpoint", "held"):
             require(getattr(self, name) >= 1, f"rl.{name}", getattr(self, name), "at least 1")
 
 
@@ -92,34 +94,68 @@ class Played:
         return len(self.joints)
 
     def seen(
-        self, rows: Sequence[int], about: PolicyAbout, shake: Shake | None = None, rng: np.random.Generator | None = None
+        self, places: "Places", about: PolicyAbout, shake: Shake | None = None, rng: np.random.Generator | None = None
     ) -> Seen:
-        """What some trials saw, decisions one after the other, (N D, ...)."""
-        images = np.concatenate([self.images[row] for row in rows])
+        """What was seen at some decisions, (B, ...)."""
+        images = self.images[places.trials, places.decisions]
         if shake is not None and rng is not None and images.shape[1]:
             images = shaken(images, shake, rng)
-        return about.seen(np.concatenate([self.joints[r] for r in rows]), images, np.concatenate([self.state[r] for r in rows]))
+        return about.seen(self.joints[places.trials, places.decisions], images, self.state[places.trials, places.decisions])
 
 
-def likelihoods(
-    network: FittedPolicy, played: Played, rows: Sequence[int], seen: Seen, about: PolicyAbout, kind: str
-) -> tuple[Float[Tensor, "N"], Float[Tensor, "N"], Float[Tensor, "N"]]:
-    """Log-likelihood of what was executed under z = 0, the sum of |a - mu| / b over it, and how many numbers that is."""
-    mean = network.chunk(seen)[:, : about.stride].unflatten(0, (len(rows), -1))
-    actions, valid = played.actions[list(rows)].to(mean.device), played.valid[list(rows)].to(mean.device)
-    off = ((actions - mean).abs() * valid[..., None]).flatten(1).sum(dim=1) / about.spread
-    size = valid.flatten(1).sum(dim=1).to(mean.dtype) * mean.shape[-1]
-    return log_likelihood(actions, mean, valid, about.spread, kind), off, size
+@dataclass(frozen=True, eq=False)
+class Places:
+    """B decisions of trials: number of the trial and of the decision in it, (B,) each."""
+
+    trials: np.ndarray
+    decisions: np.ndarray
+
+    @classmethod
+    def whole(cls, trials: Sequence[int], played: Played) -> "Places":
+        """Every decision of some trials, one trial after the other."""
+        count = played.joints.shape[1]
+        return cls(np.repeat(np.array(trials, dtype=int), count), np.tile(np.arange(count), len(trials)))
+
+
+@dataclass(frozen=True, eq=False)
+class Meant:
+    """What a policy means to do at B decisions until the next, beside what was executed.
+
+    Attributes:
+        mean: normalised, (B, K, A).
+        actions: what was executed, likewise.
+        valid: which steps of it there were, (B, K).
+    """
+
+    mean: Float[Tensor, "B K A"]
+    actions: Float[Tensor, "B K A"]
+    valid: Bool[Tensor, "B K"]
+
+    @classmethod
+    def of(cls, network: FittedPolicy, played: Played, places: Places, seen: Seen, about: PolicyAbout) -> "Meant":
+        """Under z = 0."""
+        mean = network.chunk(seen)[:, : about.stride]
+        actions, valid = (one[places.trials, places.decisions].to(mean.device) for one in (played.actions, played.valid))
+        return cls(mean, actions, valid)
+
+    def likelihood(self, scale: float, kind: str) -> Float[Tensor, "B"]:
+        """Log-likelihood of what was executed."""
+        return log_likelihood(self.actions, self.mean, self.valid, scale, kind)
+
+    def sum(self, values: Float[Tensor, "B K A"]) -> Float[Tensor, "B"]:
+        """Over all that was executed."""
+        return (values * self.valid[..., None]).flatten(1).sum(dim=1)
 
 
 @torch.no_grad()
-def reference_of(network: FittedPolicy, played: Played, about: PolicyAbout, kind: str, device: torch.device) -> Float[Tensor, "N"]:
-    """Log-likelihood of every trial under the policy that training began with."""
+def reference_of(network: FittedPolicy, played: Played, about: PolicyAbout, device: torch.device) -> Float[Tensor, "N D K A"]:
+    """What a policy that stays as it is means to do at every decision of every trial."""
     network.eval()
     found = []
     for row in range(len(played)):
-        found.append(likelihoods(network, played, [row], played.seen([row], about).to(device), about, kind)[0].cpu())
-    return torch.cat(found)
+        places = Places.whole([row], played)
+        found.append(Meant.of(network, played, places, played.seen(places, about).to(device), about).mean.cpu())
+    return torch.stack(found)
 
 
 class Lessons:
@@ -127,76 +163,87 @@ class Lessons:
 
     Args:
         name: entry of `edream/preferences/`.
-        reference: of each trial, from `reference_of`.
+        reference: from `reference_of`.
         ranks, pairs: as the stage rank made them.
 
     Attributes:
-        told: of each step so far: log-ratios of chosen and rejected trials and the objective's loss.
+        told: of each step so far: log-ratios of better and worse trials, a number, and the objective's loss.
     """
 
     def __init__(
         self, name: str, options: RlOptions, played: Played, reference: Tensor, ranks: pa.Table, pairs: pa.Table, seed: int
     ) -> None:
-        self.entry, self.options, self.played, self.reference = (
-            catalog.load("preferences", name, Preference),
-            options,
-            played,
-            reference,
-        )
+        self.entry = catalog.load("preferences", name, Preference)
+        self.options, self.played, self.reference = options, played, reference
         rows = sorted(ranks.to_pylist(), key=lambda row: row["trial"])
         self._advantage = torch.tensor([row["advantage"] for row in rows], dtype=torch.float32)
         self._good = torch.tensor([row["good"] for row in rows])
         self._pairs = [(row["chosen"], row["rejected"]) for row in pairs.to_pylist()]
         wanted = sorted({row["start"] for row in pairs.to_pylist()})
         self._groups = [[row["trial"] for row in rows if row["start"] == start] for start in wanted]
+        self._telling = np.array([trial for group in self._groups for trial in group if self._advantage[trial] != 0.0], dtype=int)
         self._seed = seed
         self.told: list[dict[str, float]] = []
 
     def loss(self, network: FittedPolicy, about: PolicyAbout, step: int, device: torch.device) -> Tensor:
         """The objective's loss of a step, in units of the mean error of one number, as a supervised loss beside it is."""
         rng = np.random.default_rng((self._seed, 0x9A1, step))
-        rows, chosen, rejected = self._drawn(rng)
-        seen = self.played.seen(rows, about, self.options.shake, rng).to(device)
-        log, off, size = likelihoods(network, self.played, rows, seen, about, self.options.likelihood)
+        trials, places, chosen, rejected = self._drawn(rng)
+        seen = self.played.seen(places, about, self.options.shake, rng).to(device)
+        meant = Meant.of(network, self.played, places, seen, about)
+        sums = self._sums(meant, replace(meant, mean=self.reference[places.trials, places.decisions].to(device)), about.spread)
+        if len(trials) < len(places.trials):  # whole trials
+            sums = {name: one.unflatten(0, (len(trials), -1)).sum(dim=1) for name, one in sums.items()}
         judged = Judged(
-            log - self.reference[rows].to(device),
-            off,
-            size,
-            torch.tensor(chosen, device=device),
-            torch.tensor(rejected, device=device),
-            self._advantage[rows].to(device),
-            self._good[rows].to(device),
+            chosen=torch.tensor(chosen, device=device, dtype=torch.long),
+            rejected=torch.tensor(rejected, device=device, dtype=torch.long),
+            advantage=self._advantage[trials].to(device),
+            good=self._good[trials].to(device),
+            **sums,
         )
         value = self.entry.loss(judged, self.options.objective)
-        ratio = judged.ratio.detach() / size
-        self.told.append(
-            {
-                "loss": float(value.detach()),
-                "chosen": float(ratio[judged.chosen].mean()),
-                "rejected": float(ratio[judged.rejected].mean()),
-            }
-        )
+        each = judged.ratio.detach() / judged.size
+        told = {name: float(each[rows].mean()) if len(rows) else 0.0 for name, rows in (("chosen", chosen), ("rejected", rejected))}
+        self.told.append({"loss": float(value.detach())} | told)
         return value * about.spread / self.entry.steepness(judged, self.options.objective)
 
-    def _drawn(self, rng: np.random.Generator) -> tuple[list[int], list[int], list[int]]:
-        """Numbers of the trials of a batch, and the places in it of the better and the worse of each pair."""
-        if self.entry.pairs:
-            picked = [self._pairs[int(i)] for i in rng.integers(len(self._pairs), size=self.options.batch)]
-            rows = [row for pair in picked for row in pair]
-            return rows, list(range(0, len(rows), 2)), list(range(1, len(rows), 2))
-        groups = [self._groups[int(i)] for i in rng.integers(len(self._groups), size=self.options.batch)]
+    def _sums(self, meant: Meant, before: Meant, scale: float) -> dict[str, Tensor]:
+        """What `Judged` has of each decision."""
+        kind, step, chance = self.options.likelihood, meant.mean - before.mean, meant.actions - before.mean
+        return {
+            "ratio": meant.likelihood(scale, kind) - before.likelihood(scale, kind),
+            "error": meant.sum((meant.actions - meant.mean).abs()) / scale,
+            "size": meant.sum(torch.ones_like(meant.mean)),
+            "chance": meant.sum(chance.abs()) / scale,
+            "moved": meant.sum(step**2) / scale**2,
+            "towards": meant.sum(step * chance) / scale**2,
+        }
+
+    def _drawn(self, rng: np.random.Generator) -> tuple[list[int], Places, list[int], list[int]]:
+        """The trial of each row of a batch, the decisions it looks at, and which rows are better and worse ones."""
+        size = self.options.batch or self.entry.batch
+        if self.entry.looks_at == "decisions":
+            trials = self._telling[rng.integers(len(self._telling), size=size)]
+            places = Places(trials, rng.integers(self.played.joints.shape[1], size=size))
+            gain = self._advantage[trials].numpy()
+            return trials.tolist(), places, np.flatnonzero(gain > 0).tolist(), np.flatnonzero(gain < 0).tolist()
         rows, chosen, rejected = [], [], []
-        for group in groups:
-            order = sorted(range(len(group)), key=lambda i: -float(self._advantage[group[i]]))
-            chosen.append(len(rows) + order[0])
-            rejected.append(len(rows) + order[-1])
-            rows += group
-        return rows, chosen, rejected
+        if self.entry.looks_at == "pairs":
+            rows = [row for i in rng.integers(len(self._pairs), size=size) for row in self._pairs[int(i)]]
+            chosen, rejected = list(range(0, len(rows), 2)), list(range(1, len(rows), 2))
+        else:
+            for group in [self._groups[int(i)] for i in rng.integers(len(self._groups), size=size)]:
+                order = sorted(range(len(group)), key=lambda i: -float(self._advantage[group[i]]))
+                chosen.append(len(rows) + order[0])
+                rejected.append(len(rows) + order[-1])
+                rows += group
+        return rows, Places.whole(rows, self.played), chosen, rejected
 
 
-def shall_stop(told: Sequence[Mapping[str, float]], pairs: bool, slack: float) -> bool:
+def shall_stop(told: Sequence[Mapping[str, float]], entry: Preference, slack: float) -> bool:
     """Whether a round has gone on too long: the chosen trials have become much less likely than they were under the reference.
 
     A little they always do: they were played by the policy that the round began with, so nothing makes them likelier than that one.
+    Only of pairs is this asked; a trust region ends by itself.
     """
-    return pairs and float(np.mean([one["chosen"] for one in told])) < -slack
+    return entry.looks_at == "pairs" and float(np.mean([one["chosen"] for one in told])) < -slack

@@ -14,7 +14,7 @@ class RankOptions:
     """How trials are compared.
 
     Attributes:
-        margin: least difference of terminal distance for a pair [m]; a success and a failure make a pair whatever their distance.
+        margin: least difference of terminal distance that counts [m]; a success and a failure make a pair whatever their distance.
         pairs: most pairs of one start, the widest apart first.
     """
 
@@ -43,7 +43,7 @@ def ranked(outcomes: pa.Table, options: RankOptions) -> tuple[pa.Table, pa.Table
         group = sorted(
             (row for row in rows if row["start"] == start), key=lambda row: (not row["success"], row["distance"], row["trial"])
         )
-        gains = advantages(group)
+        gains = advantages(group, options.margin)
         order += [
             {"trial": row["trial"], "start": start, "rank": rank, "advantage": gains[rank], "good": bool(row["success"])}
             for rank, row in enumerate(group)
@@ -68,14 +68,20 @@ def pairs_of(group: Sequence[Mapping[str, object]], options: RankOptions) -> lis
     return found[: options.pairs]
 
 
-def advantages(group: Sequence[Mapping[str, object]]) -> list[float]:
+def advantages(group: Sequence[Mapping[str, object]], margin: float = 0.0) -> list[float]:
     """Reward of each trial, less the mean of its group, in standard deviations; 0 where all went alike.
 
-    The reward is 1 for success, and less the distance [m] up to half a metre, so that it orders trials as the ranking does.
+    The reward is 1 for success, and less the distance [m] up to half a metre, so that it orders trials as the ranking does. A
+    distance counts in whole margins, as it does for pairs: under a margin of 1 m success alone counts.
     """
-    reward = np.array([float(bool(row["success"])) - min(float(row["distance"]), 0.5) for row in group])  # type: ignore[arg-type]
+    reward = np.array([float(bool(row["success"])) - _counted(float(row["distance"]), margin) for row in group])  # type: ignore[arg-type]
     spread = reward.std()
     return [0.0] * len(group) if spread < 1e-9 else ((reward - reward.mean()) / spread).tolist()
+
+
+def _counted(distance: float, margin: float) -> float:
+    near = min(distance, 0.5)
+    return near if margin == 0.0 else margin * float(np.floor(near / margin))
 
 
 def require_pairs(pairs: pa.Table, trials: int) -> None:

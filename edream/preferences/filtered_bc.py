@@ -11,7 +11,7 @@ class FilteredBc(Preference):
 
     name = "filtered_bc"
     summary = "Imitation of the trials that succeeded."
-    pairs = False
+    looks_at = "starts"
 
     def loss(self, judged: Judged, options: PreferenceOptions) -> Float[Tensor, ""]:
         weight = judged.good.to(judged.error.dtype)

@@ -19,7 +19,7 @@ class Tpo(Preference):
 
     name = "tpo"
     summary = "Trajectory preference optimisation with the chosen trajectory's L1 error as anchor."
-    pairs = True
+    looks_at = "pairs"
 
     def steepness(self, judged: Judged, options: PreferenceOptions) -> float:
         return options.beta * float(judged.size.mean())

@@ -12,7 +12,7 @@ class TpoPaper(Preference):
 
     name = "tpo_paper"
     summary = "Trajectory preference optimisation as published: no anchor."
-    pairs = True
+    looks_at = "pairs"
 
     def steepness(self, judged: Judged, options: PreferenceOptions) -> float:
         return options.beta * float(judged.size.mean())

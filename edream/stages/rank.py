@@ -30,4 +30,4 @@ def run(inputs: Mapping[str, Artifact], config: RankConfig, work: Work) -> Bundl
     return {"ranks.parquet": order, "pairs.parquet": pairs, "summary.json": summary}
 
 
-ENTRY = Stage("rank", 1, ("rollouts",), RankConfig, run, None, ("numpy",))
+ENTRY = Stage("rank", 2, ("rollouts",), RankConfig, run, None, ("numpy",))

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from edream import catalog
 from edream.calibration.settings import RobotSettings, SpaceSettings
 from edream.core.errors import require
 from edream.core.stage import Artifact, Bundle, Source, Stage, Work
@@ -15,6 +16,7 @@ from edream.ingest.stored import stored_episodes
 from edream.learn.checkpoint import weights_digest
 from edream.learn.determinism import deterministic
 from edream.learn.device import device_of
+from edream.learn.preference import Preference
 from edream.learn.training import AVERAGE, new_state, part, train
 from edream.practice.about import ABOUT, WEIGHTS, PolicyAbout
 from edream.practice.collecting import Manner, Player, collected, outcomes_of
@@ -39,7 +41,7 @@ class RlPolicy(PolicyOptions):
         rl: entry of `edream/preferences/`.
     """
 
-    rl: str = "tpo"
+    rl: str = "natural"
 
 
 @dataclass(frozen=True)
@@ -75,8 +77,9 @@ def run(inputs: Mapping[str, Artifact], config: RlConfig, work: Work) -> Bundle:
     require_pairs(ranking["pairs.parquet"], len(played))
     device = device_of(config.policy.device, "policy.device")
     with deterministic():
-        first = about.network(_tensors(inputs["sft"][WEIGHTS])).to(device)
-        reference = reference_of(first, played, about, options.likelihood, device)
+        against = rolled if catalog.load("preferences", config.policy.rl, Preference).region else inputs["sft"]
+        still = about.network(_tensors(against[WEIGHTS])).to(device)
+        reference = reference_of(still, played, about, device)
         lessons = Lessons(
             config.policy.rl, options, played, reference, ranking["ranks.parquet"], ranking["pairs.parquet"], config.seed
         )
@@ -152,7 +155,7 @@ def _trained(
             lessons.told.clear()
             with torch.random.fork_rng(devices=[]):
                 state, _ = train(network, loss_of, begun, first, last, options.train)
-            told = {"step": last, "steps": list(lessons.told), "stop": shall_stop(lessons.told, lessons.entry.pairs, options.slack)}
+            told = {"step": last, "steps": list(lessons.told), "stop": shall_stop(lessons.told, lessons.entry, options.slack)}
             kept = {name: value.numpy() for name, value in part(state, AVERAGE).items()}
             return {"state.safetensors": state, WEIGHTS: kept, "told.json": told}
 
@@ -176,9 +179,10 @@ def _tried(
     cell = cell_of(robot, physics, config.task, about, options, inputs)
     shards = shards_of([cell], range(config.rl.first, config.rl.first + config.rl.held), 1, options.shard)
     manner = Manner(seed=config.seed, keep=False, eyes=eyes_of(options, inputs, config.dream, config.seed))
-    found = []
-    for number, path in enumerate([rolled.path(WEIGHTS), *(one.path(WEIGHTS) for one in pieces)]):
-        step = 0 if number == 0 else pieces[number - 1]["told.json"]["step"]
+    # what the round before kept was tried there on the same starts
+    found = [{**rolled[HISTORY][-1]["kept"], "step": 0}] if rolled[HISTORY] else []
+    tried = [(0, rolled.path(WEIGHTS)), *((one["told.json"]["step"], one.path(WEIGHTS)) for one in pieces)]
+    for number, (step, path) in list(enumerate(tried))[len(found) :]:
         outcomes = outcomes_of(collected(work, f"held-{number}", Player(path, rolled[ABOUT]), shards, manner))
         distance = float(outcomes["distance"].to_numpy().mean())
         found.append({"step": step, "success": float(np.mean(outcomes["success"].to_pylist())), "distance_m": distance})
@@ -206,4 +210,4 @@ def sources(config: RlConfig) -> Mapping[str, Source]:
     return found | ({"objects": config.policy.objects} if config.policy.objects else {})
 
 
-ENTRY = Stage("rl", 1, needs, RlConfig, run, sources, ("mujoco", "torch", "numpy"))
+ENTRY = Stage("rl", 2, needs, RlConfig, run, sources, ("mujoco", "torch", "numpy"))

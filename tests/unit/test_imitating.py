@@ -4,6 +4,8 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
+from edream import catalog
+from edream.learn.preference import Preference
 from edream.practice.imitating import Successes
 from edream.practice.learning import Played, shall_stop
 from tests.toy_world import about, demonstrated
@@ -49,6 +51,7 @@ def test_trials_that_failed_are_not_imitated() -> None:
     assert set(((about_.actions.back(actions.numpy())[:, 0, 0] + 0.5) // 20).astype(int).tolist()) == {1}
 
 
-@pytest.mark.parametrize(("chosen", "pairs", "stop"), [(-0.2, True, False), (-0.6, True, True), (-0.6, False, False)])
-def test_a_round_stops_when_the_chosen_trials_have_become_much_less_likely(chosen: float, pairs: bool, stop: bool) -> None:
-    assert shall_stop([{"chosen": chosen}, {"chosen": chosen}], pairs, 0.5) is stop
+@pytest.mark.parametrize(("chosen", "name", "stop"), [(-0.2, "tpo", False), (-0.6, "tpo", True), (-0.6, "grpo", False)])
+def test_a_round_stops_when_the_chosen_trials_have_become_much_less_likely(chosen: float, name: str, stop: bool) -> None:
+    entry = catalog.load("preferences", name, Preference)
+    assert shall_stop([{"chosen": chosen}, {"chosen": chosen}], entry, 0.5) is stop

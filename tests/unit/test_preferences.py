@@ -1,6 +1,7 @@
 """Learning from trials that went better or worse: signs, anchors, ranking, rates."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pyarrow as pa
@@ -20,12 +21,14 @@ VALID = torch.ones(2, 2, dtype=torch.bool)
 
 
 def judged(mean: torch.Tensor, good: tuple[bool, bool] = (True, False)) -> Judged:
-    mu = mean.expand(2, 2, 1)
+    mu = mean.expand(2, 2, 1)  # the reference's mean is 0
     reference = log_likelihood(EXECUTED, torch.zeros(2, 2, 1), VALID, B, "laplace")
     ratio = log_likelihood(EXECUTED, mu, VALID, B, "laplace") - reference
     error = (EXECUTED - mu).abs().flatten(1).sum(1) / B
     rows = [torch.tensor([0]), torch.tensor([1])]
-    return Judged(ratio, error, torch.full((2,), 2.0), *rows, torch.tensor([1.0, -1.0]), torch.tensor(good))
+    moved, towards = (mu**2).flatten(1).sum(1) / B**2, (mu * EXECUTED).flatten(1).sum(1) / B**2
+    told = [torch.tensor([1.0, -1.0]), torch.tensor(good), EXECUTED.abs().flatten(1).sum(1) / B, moved, towards]
+    return Judged(ratio, error, torch.full((2,), 2.0), *rows, *told)
 
 
 @pytest.mark.parametrize("name", catalog.names("preferences"))
@@ -51,11 +54,22 @@ def test_tpo_is_what_hand_computes_and_without_alpha_it_is_the_paper_s() -> None
 def test_grpo_stops_where_the_ratio_has_left_its_region_and_cloning_wants_successes_only() -> None:
     mean = torch.full((1, 2, 1), 0.2, requires_grad=True)  # ratio per number e^2: far outside
     one = judged(mean)
-    better = Judged(one.ratio, one.error, one.size, one.chosen, one.rejected, torch.tensor([1.0, 0.0]), one.good)
+    better = replace(one, advantage=torch.tensor([1.0, 0.0]))
     catalog.load("preferences", "grpo", Preference).loss(better, PreferenceOptions(clip=0.2)).backward()
     assert mean.grad is not None and (mean.grad == 0).all()
     nothing = judged(torch.zeros(1, 2, 1), good=(False, False))
     assert float(catalog.load("preferences", "filtered_bc", Preference).loss(nothing, PreferenceOptions())) == 0.0
+
+
+def test_the_natural_step_ends_where_each_trial_says_and_no_farther() -> None:
+    entry = catalog.load("preferences", "natural", Preference)
+    mean = torch.zeros(2, 2, 1, requires_grad=True)  # a mean of its own for each trial
+    for _ in range(400):
+        loss = entry.loss(judged(mean), PreferenceOptions(step=0.5))
+        (gradient,) = torch.autograd.grad(loss, mean)
+        mean = (mean - 0.01 * gradient).detach().requires_grad_()
+    wanted = 0.5 * torch.tensor([1.0, -1.0])[:, None, None] * EXECUTED
+    assert torch.allclose(mean, wanted, atol=1e-4), "half way to what went well, and half as far away from what did not"
 
 
 def outcomes(*rows: tuple[int, bool, float]) -> pa.Table:
@@ -72,6 +86,14 @@ def test_success_ranks_before_distance_and_pairs_share_a_start_and_differ_by_the
     assert found == {(1, 0, "success"), (1, 2, "success"), (1, 3, "success"), (0, 3, "distance"), (2, 3, "distance")}
     gains = [row["advantage"] for row in order.to_pylist() if row["start"] == 1]
     assert gains == sorted(gains, reverse=True) and np.mean(gains) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_distance_below_the_margin_counts_no_more_for_the_advantage_than_for_pairs() -> None:
+    table = outcomes((1, False, 0.02), (1, False, 0.4), (1, True, 0.1), (2, False, 0.1), (2, False, 0.4))
+    order = {row["trial"]: row["advantage"] for row in ranked(table, RankOptions(margin=1.0))[0].to_pylist()}
+    assert order[0] == order[1] < 0.0 < order[2] and order[3] == order[4] == 0.0
+    order = {row["trial"]: row["advantage"] for row in ranked(table, RankOptions(margin=0.01))[0].to_pylist()}
+    assert order[1] < order[0] < order[2] and order[4] < order[3]
 
 
 def test_the_widest_pairs_are_kept_and_none_at_all_is_a_sentence() -> None:
