@@ -1,12 +1,12 @@
 """Clips: stretches of conditioned episodes as tensors, with the object layer from one of three sources."""
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from edream.core.errors import EdreamError
@@ -73,6 +73,13 @@ class Clip:
     def to(self, device: torch.device | str) -> "Clip":
         """The same elsewhere."""
         return Clip(*(getattr(self, name).to(device) for name in ("real", "composite", "background", "robot", "object")))
+
+    def onward(self, given: Float[Tensor, "B K 3 H W"], counts: Int[Tensor, "B"]) -> "Clip":
+        """Video alone, going on from its last given image, which takes the background's place: the first `counts` of `given`;
+        clips with none keep theirs."""
+        last = given[torch.arange(len(given), device=given.device), (counts - 1).clamp(min=0)]
+        base = torch.where((counts > 0)[:, None, None, None, None], last[:, None], self.background)
+        return replace(self, composite=base, background=base)
 
 
 @dataclass(frozen=True)

@@ -68,10 +68,15 @@ def encoded(codec: FittedCodec, images: Float[Tensor, "N 3 H W"]) -> Float[Tenso
 
 
 class DreamModel(torch.nn.Module):
-    """Codec and denoiser, and the objective that says how to draw clips from them."""
+    """Codec and denoiser, and the objective that says how to draw clips from them.
+
+    Attributes:
+        onward: whether the last image that is given takes the background's place, where images are given.
+    """
 
     def __init__(self, codec: FittedCodec, denoiser: FittedDenoiser, objective: Objective, options: Mapping[str, Any]) -> None:
         super().__init__()
+        self.onward = False
         self.codec, self.denoiser, self.objective, self.options = codec.requires_grad_(False), denoiser, objective, dict(options)
 
     @classmethod
@@ -123,8 +128,12 @@ class DreamModel(torch.nn.Module):
 
     def loss(self, clip: Clip, known: Tensor, chance: torch.Generator, latents: "Latents | None" = None) -> Tensor:
         """The objective's loss on a batch; `latents` of what does not change from step to step, where they are kept."""
+        background = None if latents is None else latents.background
+        if self.onward:
+            clip = clip.onward(clip.real, known.sum(dim=1))
+            background = None
         with torch.no_grad():
-            composite, shown = self.shown(clip, None if latents is None else latents.background)
+            composite, shown = self.shown(clip, background)
             real = self.encode(clip.real) if latents is None else latents.real
         return self.objective.loss(self.network(composite, shown), real, composite, known, chance, self.options)
 
@@ -133,6 +142,8 @@ class DreamModel(torch.nn.Module):
         self, clip: Clip, noise: Tensor, steps: int | None = None, before: Tensor | None = None
     ) -> Float[Tensor, "B T 3 H W"]:
         """Clips drawn from the model; `before` holds the first frames as images, where they are already there."""
+        if self.onward and before is not None:
+            clip = clip.onward(before, torch.full((len(before),), before.shape[1], device=before.device))
         composite, shown = self.shown(clip)
         known = None if before is None else self.encode(before)
         drawn = self.objective.sample(

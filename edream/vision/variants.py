@@ -26,6 +26,7 @@ class DreamOptions:
     checkpoint: int = 100
     known: float = 0.3
     overlap: int = 4
+    onward: bool = False
     objects: bool = True
     sources: Mapping[str, float] = field(default_factory=lambda: {"real": 0.5, "sim": 0.25, "crop": 0.25})
     jitter: Jitter = field(default_factory=Jitter)
@@ -43,6 +44,8 @@ class DreamOptions:
         for name, weight in self.sources.items():
             if name not in SOURCES or weight < 0:
                 raise EdreamError(f"dream.sources names {name!r} with {weight}; expected weights for {', '.join(SOURCES)}.")
+        if self.onward and self.objects:
+            raise EdreamError("dream.onward is for video alone, without robot and objects; give dream.objects=false with it.")
         if self.device not in ("auto", "cpu", "cuda"):
             raise EdreamError(f"dream.device is {self.device!r}; expected auto, cpu or cuda.")
 
@@ -78,4 +81,6 @@ def new_model(options: DreamOptions, variant: Variant, seed: int) -> DreamModel:
     Raises:
         EdreamError: an entry, option or weights file is wrong.
     """
-    return DreamModel.of(options.codec, options.denoiser, variant.objective, seed)
+    model = DreamModel.of(options.codec, options.denoiser, variant.objective, seed)
+    model.onward = options.onward
+    return model

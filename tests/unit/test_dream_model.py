@@ -106,6 +106,19 @@ def test_images_that_are_given_stay_as_they_are(tmp_path: Path) -> None:
     assert all(np.abs(made[i].astype(float) - real[i]).mean() > 1.0 for i in range(2, 6))
 
 
+def test_video_alone_goes_on_from_its_last_given_image(tmp_path: Path) -> None:
+    scenes, options = small_scenes(tmp_path), replace(TINY, objects=False, onward=True)
+    model = new_model(options, variants(options, ("real",))[0], 0)  # whose network gives nothing before it has learned
+    made = drawn(model, scenes, [(2, 1)], 6, "none", 0, None, None, 2)[0].astype(float)
+    real = scenes.layers[2]["real"][1:7].astype(float)
+    assert np.abs(made[2:] - real[1]).max() <= 1.0 < np.abs(made[2:] - real[0]).mean()
+    clip = clip_of(scenes, [(0, 0, "none"), (1, 0, "none")], 4)
+    on = clip.onward(clip.real, torch.tensor([0, 3]))
+    assert torch.equal(on.background[0], clip.background[0]) and torch.equal(on.composite[1, 3], clip.real[1, 2])
+    with pytest.raises(EdreamError, match=r"dream\.onward is for video alone"):
+        replace(TINY, onward=True)
+
+
 def replace_frames(clip, count: int):
     return type(clip)(*(getattr(clip, name)[:, :count] for name in ("real", "composite", "background", "robot", "object")))
 
