@@ -1,5 +1,6 @@
 """Gauss-Newton to the end: near on a little of the motion, then on all; priors weighed by the errors that are left."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -7,8 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import lsq_linear
 
-from edream.core.parameters import ParameterSpace
-from edream.sim.differences import blocks, jacobian_along_axes, straight
+from edream.sim.differences import WIDE, blocks, jacobian_along_axes, straight
 from edream.sim.least_squares import Solution, solve, worth
 from edream.sim.objective import Objective, rms
 from edream.sim.rollout import Window
@@ -16,7 +16,9 @@ from edream.sim.rollout import Window
 SETTLED = 0.8  # a noise that falls less than this any more does not change the weight of the priors
 PASSES = 3
 NEAR_SECONDS, NEAR_WINDOWS = 2.5, 12  # what is enough to come near
-LENGTHS = (1.0, 0.5, 0.25, 0.1, 0.03)  # of a Gauss-Newton step, tried together
+SHORTER = (0.5, 0.25, 0.1, 0.03)  # of a Gauss-Newton step, tried together where the whole one disappoints
+WORD = 0.5  # share of the promised gain that a whole step must bring
+COUPLED = 0.3  # of what a parameter does to its own joint; less on others makes intervals wrong by less than a tenth
 LITTLE = 0.1  # of a squared standard deviation: a gain that no interval would notice
 WORTHWHILE = 0.34  # of the motion; with more in the near windows, the search begins on all
 
@@ -73,60 +75,87 @@ def polish_in_stages(
 
 
 def finish(objective: Any, values: Float[np.ndarray, "P"], iterations: int) -> Solution:
-    """The steps that an end still asks for, and the exact Jacobian there.
+    """The steps that an end still asks for, and the Jacobian there.
 
     Dry friction makes the loss rough: where one joint's step meets a kink, a step of all joints at once is refused for it. So each
     group of parameters that acts on joints of its own takes the length that suits those joints. Differences go along the principal
-    axes of the Jacobian before; the first time, along single parameters.
+    axes of the Jacobian before; the first time, along single parameters. What joints do to each other is in the Jacobian at the end
+    only where it is more than a little.
 
     Args:
         values: where the search ended.
         iterations: most Gauss-Newton steps.
     """
-    space = objective.simulated.space
+    space, groups = objective.simulated.space, blocks(objective.acts_on)
     unit, residual = space.to_unit(values), objective.residuals(values)[0]
     first, scale, settled = rms(residual), worth(objective, residual), not iterations
-    hessian = np.eye(len(unit))
+    slope, hessian = np.zeros((len(residual), len(unit))), np.eye(len(unit))
     for number in range(iterations):
         slope = jacobian_along_axes(objective, unit, hessian, apart=True)
-        moved, left = _step_by_blocks(objective, unit, residual, slope, scale)
-        gained = _cost(space, unit, residual, scale) - _cost(space, moved, left, scale)
-        unit, residual, hessian = moved, left, _hessian(space, slope, scale)
+        hessian = slope.T @ slope / scale**2 + np.diag(space.unit_prior()[1] ** -2.0)
+        before = _costs(objective, groups, unit[None], residual[None], scale).sum()
+        unit, residual = _step_by_blocks(objective, groups, unit, residual, slope, scale)
+        gained = before - _costs(objective, groups, unit[None], residual[None], scale).sum()
         settled = number > 0 and gained < LITTLE
         if settled:
             break
-    slope = jacobian_along_axes(objective, unit, hessian)
+    apart = not _coupled(objective, groups, unit, residual, hessian)
+    if not (settled and apart and iterations):
+        slope = jacobian_along_axes(objective, unit, hessian, apart)
     return Solution(space, space.from_unit(unit), residual, slope, settled, first, rms(residual))
 
 
-def _cost(space: ParameterSpace, unit: np.ndarray, residual: np.ndarray, scale: float) -> float:
-    centre, spread = space.unit_prior()
-    return float(residual @ residual) / scale**2 + float((((unit - centre) / spread) ** 2).sum())
-
-
-def _hessian(space: ParameterSpace, slope: np.ndarray, scale: float) -> np.ndarray:
-    return slope.T @ slope / scale**2 + np.diag(space.unit_prior()[1] ** -2.0)
+def _costs(
+    objective: Any, groups: Sequence[list[int]], units: Float[np.ndarray, "N P"], residuals: Float[np.ndarray, "N R"], scale: float
+) -> Float[np.ndarray, "N B"]:
+    """What each block's joints and priors cost at each of several places; joints that no block acts on cost the first one."""
+    acts = objective.acts_on
+    centre, spread = objective.simulated.space.unit_prior()
+    joints = (residuals.reshape(len(residuals), -1, acts.shape[1]) ** 2).sum(axis=1) / scale**2
+    away = ((units - centre) / spread) ** 2
+    costs = np.stack([joints[:, acts[own].any(axis=0)].sum(axis=1) + away[:, own].sum(axis=1) for own in groups], axis=1)
+    costs[:, 0] += joints[:, ~acts.any(axis=0)].sum(axis=1)
+    return costs
 
 
 def _step_by_blocks(
-    objective: Any, unit: np.ndarray, residual: np.ndarray, slope: np.ndarray, scale: float
+    objective: Any, groups: Sequence[list[int]], unit: np.ndarray, residual: np.ndarray, slope: np.ndarray, scale: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The best of the steps tried, in the unit box, and the residual there; where none is better, the start."""
-    space, acts = objective.simulated.space, objective.acts_on
+    """The whole step where it keeps its promise for every block; else the best of shorter ones, block by block; else the start."""
+    space = objective.simulated.space
     centre, spread = space.unit_prior()
     rows = np.concatenate([slope / scale, np.diag(1.0 / spread)])
     wanted = -np.concatenate([residual / scale, (unit - centre) / spread])
     move = lsq_linear(rows, wanted, bounds=(-unit - 1e-12, 1.0 - unit + 1e-12)).x
-    units = np.vstack([unit, straight(space, unit, np.outer(LENGTHS, move))])
-    left = np.vstack([residual, objective.residuals(space.from_unit(units[1:]))])
-    by_joint = (left.reshape(len(left), -1, acts.shape[1]) ** 2).sum(axis=1) / scale**2  # (length, joint)
-    apart = ((units - centre) / spread) ** 2
-    mixed = unit.copy()
-    for own in blocks(acts):
-        mixed[own] = units[(by_joint[:, acts[own].any(axis=0)].sum(axis=1) + apart[:, own].sum(axis=1)).argmin()][own]
-    units, left = np.vstack([units, mixed]), np.vstack([left, objective.residuals(space.from_unit(mixed))])
-    best = int(np.argmin([_cost(space, u, r, scale) for u, r in zip(units, left, strict=True)]))
-    return units[best], left[best]
+    places, left = np.vstack([unit, straight(space, unit, move[None])]), residual[None]
+    left = np.vstack([left, objective.residuals(space.from_unit(places[1:]))])
+    costs = _costs(objective, groups, places, left, scale)
+    hoped = _costs(objective, groups, (unit + move)[None], (residual + slope @ move)[None], scale)
+    if np.all(costs[0] - costs[1] >= WORD * (costs[0] - hoped[0]) - LITTLE / len(groups)):
+        better = int(costs[1].sum() < costs[0].sum())
+        return places[better], left[better]
+    shorter = straight(space, unit, np.outer(SHORTER, move))
+    places, left = np.vstack([places, shorter]), np.vstack([left, objective.residuals(space.from_unit(shorter))])
+    best, mixed = _costs(objective, groups, places, left, scale).argmin(axis=0), unit.copy()
+    for own, number in zip(groups, best, strict=True):
+        mixed[own] = places[number][own]
+    places, left = np.vstack([places, mixed]), np.vstack([left, objective.residuals(space.from_unit(mixed))])
+    lowest = int(_costs(objective, groups, places, left, scale).sum(axis=1).argmin())
+    return places[lowest], left[lowest]
+
+
+def _coupled(objective: Any, groups: Sequence[list[int]], unit: np.ndarray, residual: np.ndarray, hessian: np.ndarray) -> bool:
+    """Whether what a block does to the joints of others is more than `COUPLED` of what it does to its own."""
+    if len(groups) == 1:
+        return False
+    acts, moves = objective.acts_on, np.zeros((len(groups), len(unit)))
+    for number, own in enumerate(groups):
+        moves[number, own] = WIDE * np.linalg.eigh(hessian[np.ix_(own, own)])[1][:, -1]
+    places = np.clip(unit + moves, 0.0, 1.0)
+    moved = objective.residuals(objective.simulated.space.from_unit(places)) - residual
+    joints = np.sqrt((moved.reshape(len(groups), -1, acts.shape[1]) ** 2).sum(axis=1))
+    mine = np.stack([acts[own].any(axis=0) for own in groups])
+    return bool(np.any(np.where(mine, 0.0, joints).max(axis=1) > COUPLED * np.where(mine, joints, 0.0).max(axis=1)))
 
 
 def short_pieces(windows: Any) -> list[Window]:

@@ -134,3 +134,20 @@ def test_differences_along_axes_are_the_jacobian(apart: bool) -> None:
     found = jacobian_along_axes(one, unit, exact.T @ exact + np.eye(len(unit)), apart)
     likeness = [np.corrcoef(exact[own[:, p], p], found[own[:, p], p])[0, 1] for p in range(len(unit))]
     assert np.median(likeness) > 0.95 and min(likeness) > 0.5
+
+
+def test_the_jacobian_at_the_end_holds_what_joints_do_to_each_other_only_where_that_is_much() -> None:
+    one = objective()
+    values = solve(one, cheap=True).values
+    light = finish(one, values, 2).jacobian
+    own = np.repeat(one.acts_on.T[None], len(light) // 6, axis=0).reshape(len(light), -1)
+    assert not light[~own].any() and light[own].any()
+    heavy, residuals = objective(), Objective.residuals
+
+    def tied(values: np.ndarray) -> np.ndarray:
+        """As if each joint's error showed on its neighbour as well."""
+        rows = residuals(heavy, values)
+        return (rows.reshape(len(rows), -1, 6) @ (np.eye(6) + 0.6 * np.eye(6, k=1))).reshape(len(rows), -1)
+
+    object.__setattr__(heavy, "residuals", tied)
+    assert finish(heavy, values, 2).jacobian[~own].any()
