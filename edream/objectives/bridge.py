@@ -21,7 +21,8 @@ class Bridge(Objective):
     sampling are worth 1.4 dB, starting at the composite rather than at noise 0.6 dB.
 
     Options: `noise` s (0.03). Measured on a stand-in camera, 200 steps: s = 0.1 with half of the draws at t = 1 stays 0.7 dB
-    behind plain regression, for what the network must first take away is more than what the composite lacks.
+    behind plain regression, for what the network must first take away is more than what the composite lacks. With s = 0.03
+    what it leaves flickers coarsely (Gabor Frechet distance 5.3); with 0.01 it does not (3.1), and PSNR is 0.1 dB better.
     """
 
     name = "bridge"
