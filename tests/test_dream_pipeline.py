@@ -140,6 +140,14 @@ def test_recordings_without_video_are_a_sentence(tmp_path: Path) -> None:
         pipeline.make("camera", cfg)
 
 
+def test_a_camera_found_with_a_poor_overlap_is_doubted_aloud(made, recorded: Path) -> None:
+    wrong = ["camera.source=silhouettes", "camera.guess.azimuth=180", "camera.frames=4", "camera.evaluations=20"]
+    told = pipeline.make("camera", settings(recorded, Path(made[0].runs), *wrong))["summary.json"]
+    assert told["silhouette_iou"] < 0.5 and "do not trust this pose: give camera.marks" in told["sentence"]
+    known = pipeline.make("camera", settings(recorded, Path(made[0].runs)))["summary.json"]
+    assert "trust" not in known["sentence"]
+
+
 def test_recordings_shorter_than_a_clip_are_said_before_anything_is_trained(made, recorded: Path) -> None:
     cfg = settings(recorded, Path(made[0].runs), "dream.frames=40")
     with pytest.raises(EdreamError, match=r"has 40 images \(the longest has 16\); lower dream\.frames"):

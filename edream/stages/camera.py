@@ -18,6 +18,7 @@ from edream.vision.pose import CameraGuess, fit_to_marks, fit_to_silhouettes, re
 from edream.vision.views import chosen_cameras
 
 CAMERAS = "cameras.json"
+ENOUGH = 0.5  # overlap of silhouettes; found poses were right from 0.6 on, and 28 cm off at 0.31
 
 
 @dataclass(frozen=True)
@@ -63,7 +64,7 @@ def run(inputs: Mapping[str, Artifact], config: CameraConfig, work: Work) -> Bun
         cameras[name], quality = _found(source, name, episodes, robot, options, seed)
         each[name] = {"source": source, **quality}
         words = "".join(f"; {what.replace('_', ' ')} {value:.3g}" for what, value in quality.items())
-        told.append(f"Camera {name!r} from {WORDS[source]}{words}.")
+        told.append(f"Camera {name!r} from {WORDS[source]}{words}.{_doubt(quality)}")
     summary = {"sentence": " ".join(told), "cameras": CAMERAS, "camera": names[0], **each[names[0]]}
     return {CAMERAS: as_json(cameras), "summary.json": summary | ({"each": each} if len(names) > 1 else {})}
 
@@ -74,6 +75,13 @@ WORDS = {
     "marks": "marked points",
     "silhouettes": "the robot's silhouettes",
 }
+
+
+def _doubt(quality: Mapping[str, Any]) -> str:
+    """A warning where what was found explains too little of what was seen."""
+    if quality.get("silhouette_iou", 1.0) >= ENOUGH:
+        return ""
+    return " That overlap is poor, so do not trust this pose: give camera.marks or camera.file, or a better camera.guess."
 
 
 def _best_source(episodes: list[Episode], name: str, options: CameraOptions) -> str:
