@@ -38,7 +38,7 @@ dream-tiny: .venv/ready
 	  camera.file=$(TINY)/recorded.cameras.json render.scene=$(TINY)/recorded.scene.json masks.truth=$(TINY)/recorded.truth.masks.npz
 
 # Fifty demonstrations by an expert on a make-believe robot, its simulator calibrated, a policy trained on them and then on its own
-# trials, both judged over 200 starts in the stand-in reality. Another robot, other demonstrations: SEED=2 POLICY=runs/policy-tiny-2.
+# trials, both judged over 200 starts in the stand-in reality: half an hour or more on 2 cores. Another robot, other demonstrations: SEED=2 POLICY=runs/policy-tiny-2.
 POLICY ?= runs/policy-tiny
 SEED ?= 1
 policy-tiny: export OMP_NUM_THREADS = 1
