@@ -154,7 +154,8 @@ def _videos(opened: h5py.File, file: Path, times: np.ndarray, options: ReadOptio
 def _video(opened: h5py.File, file: Path, camera: str, times: np.ndarray, options: ReadOptions) -> Video:
     name = f"observations/images/{camera}"
     images = hdf5_file.dataset(opened, name, kinds="u")
-    assert images is not None
+    if images is None:
+        raise EdreamError(f"{file}: /{name} is listed but cannot be opened; expected a data set of images.")
     swap, what, shape = options.colour == "bgr", f"{file}, camera {camera!r}", images.shape
     if images.dtype != np.uint8 or len(shape) not in (2, 4) or shape[0] != len(times):
         raise EdreamError(

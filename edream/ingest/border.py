@@ -64,12 +64,14 @@ def inside(root: Path, relative: str, named_by: str) -> Path:
     """A path that a data set names, known to lie inside the data set's own folder.
 
     Raises:
-        EdreamError: it leads outside, by `..`, an absolute path or a link.
+        EdreamError: it leads outside, by `..`, an absolute path or a link, or is none that a file can have.
     """
     try:
         target = (root / relative).resolve()
+        target.exists()  # where the path is too long, only this says so
     except (OSError, ValueError, RuntimeError) as error:
-        raise EdreamError(f"{named_by} names {relative!r}, which is no usable path: {one_line(error)}.") from error
+        what = error.strerror if isinstance(error, OSError) and error.strerror else one_line(error)
+        raise EdreamError(f"{named_by} names {relative[:100]!r}, which is no usable path: {what}.") from error
     if not target.is_relative_to(root.resolve()):
         raise EdreamError(f"{named_by} names {relative!r}, which lies outside {root}; it was not opened.")
     return target

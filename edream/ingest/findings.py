@@ -15,6 +15,7 @@ GAP = 3.0  # a step this many times the median one is a gap
 LARGE = 10.0  # rad: no joint of an arm turns this far
 DEGREE = 180.0 / np.pi
 MAX_LAG = 0.5  # s
+MAX_PAUSE = 20  # times as long as its measurements take at the median rate: a recording that is mostly gaps tells no lag
 NUMBER = re.compile(r"(?<![\w.])-?\d+(\.\d+)?(e[-+]?\d+)?")  # but not those in names, such as joint1
 PREVIEW = 240  # pixel
 
@@ -196,6 +197,8 @@ def quantum(values: Float[np.ndarray, "T"]) -> float | None:
 def shifts(episode: Episode) -> dict[str, float]:
     """Time by which each joint's measurement follows its command [s], by the peak of their velocities' cross-correlation."""
     step = float(np.median(np.diff(episode.times)))
+    if np.ptp(episode.times) > MAX_PAUSE * step * len(episode.times):
+        return {}
     grid = np.arange(episode.times[0], episode.times[-1], step)
     reach = min(int(MAX_LAG / step), len(grid) // 4)
     if reach < 2:

@@ -1,10 +1,12 @@
 """Damaged files: whatever is cut or flipped, only a sentence may come out."""
 
+import json
 import shutil
 import tempfile
 from functools import cache
 from pathlib import Path
 
+import h5py
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -73,3 +75,20 @@ def test_a_damaged_file_ends_in_a_sentence(name: str, damage: list[tuple[str, fl
             read_all(entry, path)
         except EdreamError as error:
             assert str(error)
+
+
+def test_a_template_that_fills_to_a_name_no_file_can_have_is_a_sentence(tmp_path: Path) -> None:
+    path = make_sample("lerobot_v21", tmp_path)
+    info = path / "meta" / "info.json"
+    info.write_text(json.dumps(json.loads(info.read_text()) | {"data_path": "data/" + "long" * 100 + ".parquet"}))
+    found = list(catalog.load("formats", "lerobot_v21", Format).recordings(path, ReadOptions()))
+    assert found and all(isinstance(one, Malformed) and "no usable path" in one.reason for one in found)
+
+
+def test_a_camera_that_leads_nowhere_is_a_sentence(tmp_path: Path) -> None:
+    path = make_sample("aloha_hdf5", tmp_path)
+    for file in path.rglob("*.hdf5"):
+        with h5py.File(file, "a") as opened:
+            opened["observations/images/lost"] = h5py.SoftLink("/nowhere")
+    found = list(catalog.load("formats", "aloha_hdf5", Format).recordings(path, ReadOptions()))
+    assert found and all(isinstance(one, Malformed) and "lost" in one.reason for one in found)

@@ -108,3 +108,10 @@ def test_a_data_set_is_summed_up() -> None:
     said = summarise([find(episode(0.06, seed)) for seed in range(3)])
     assert said[0].startswith("3 episodes at 100.00 to 100.00 Hz")
     assert any("follows command by 60 ms on all joints" in one for one in said)
+
+
+def test_a_recording_that_is_mostly_one_gap_tells_no_shift_and_takes_no_memory() -> None:
+    whole = episode()
+    late = whole.times.copy()
+    late[-1] += 1e9
+    assert shifts(replace(whole, times=late)) == {}

@@ -87,9 +87,9 @@ def test_lpips_is_read_with_torchvisions_classifier_in_the_file_and_scores_regio
     made[:, :, :, 32:] = real[:, :, :, 32:]
     left = np.zeros(real.shape[:4], bool)
     left[..., :24] = True
-    where = {"all": np.ones_like(left), "left": left, "nothing": np.zeros_like(left)}
+    where = {"all": np.ones_like(left), "object": left, "robot": np.zeros_like(left), "not object": ~left, "background": ~left}
     found = scores(made, real, where, metrics)["lpips"]
-    assert found["left"] > found["all"] > 0.0 and found["nothing"] is None
+    assert found["object"] > found["all"] > 0.0 and found["robot"] is None
     assert scores(real, real, where, metrics)["lpips"]["all"] == 0.0
     assert metrics["lpips"].about == "LPIPS 0.1 on AlexNet"
 
