@@ -114,6 +114,8 @@ def simplified(problem: Problem, fit: Fit, errors: Float[np.ndarray, "M"], trial
     if best is None or (special := load("effects", best.candidate.effect, Effect).special) is None:
         return list(trials)
     plain = Candidate(special[0], best.candidate.targets)
+    if any((p.effect.name, tuple(p.targets)) == (plain.effect, plain.targets) for p in fit.objective.simulated.placements):
+        return list(trials)  # it is in the model already
     extended, _ = extend(fit, [placement(problem, plain)])
     space, ended = extended.simulated.space, best.fit.space.mapping(best.fit.values)
     found = {name.replace(best.candidate.effect, plain.effect, 1): value for name, value in ended.items()}
