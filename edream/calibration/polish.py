@@ -18,7 +18,7 @@ PASSES = 3
 NEAR_SECONDS, NEAR_WINDOWS = 2.5, 12  # what is enough to come near
 SHORTER = (0.5, 0.25, 0.1, 0.03)  # of a Gauss-Newton step, tried together where the whole one disappoints
 WORD = 0.5  # share of the promised gain that a whole step must bring
-COUPLED = 0.3  # of what a parameter does to its own joint; less on others makes intervals wrong by less than a tenth
+COUPLED = 0.3  # of what a parameter does to its own joint; less elsewhere moves an interval by a seventh at most (arm6)
 LITTLE = 0.1  # of a squared standard deviation: a gain that no interval would notice
 WORTHWHILE = 0.34  # of the motion; with more in the near windows, the search begins on all
 

@@ -195,7 +195,10 @@ def quantum(values: Float[np.ndarray, "T"]) -> float | None:
 
 
 def shifts(episode: Episode) -> dict[str, float]:
-    """Time by which each joint's measurement follows its command [s], by the peak of their velocities' cross-correlation."""
+    """Time by which each joint's measurement follows its command [s], by the peak of their velocities' cross-correlation.
+
+    Empty for a recording that is too short, or mostly a gap; a joint that does not follow its command is left out.
+    """
     step = float(np.median(np.diff(episode.times)))
     if np.ptp(episode.times) > MAX_PAUSE * step * len(episode.times):
         return {}

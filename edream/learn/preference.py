@@ -30,10 +30,10 @@ class PreferenceOptions:
     step: float = 1.4
 
     def __post_init__(self) -> None:
-        require(self.beta > 0, "rl.beta", self.beta, "a number above 0")
-        require(self.alpha >= 0, "rl.alpha", self.alpha, "0 or more")
-        require(self.clip > 0, "rl.clip", self.clip, "a number above 0")
-        require(self.step > 0, "rl.step", self.step, "a number above 0")
+        require(self.beta > 0, "rl.objective.beta", self.beta, "a number above 0")
+        require(self.alpha >= 0, "rl.objective.alpha", self.alpha, "0 or more")
+        require(self.clip > 0, "rl.objective.clip", self.clip, "a number above 0")
+        require(self.step > 0, "rl.objective.step", self.step, "a number above 0")
 
 
 @dataclass(frozen=True, eq=False)
