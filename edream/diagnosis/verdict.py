@@ -235,20 +235,21 @@ def with_suspects(problem: Problem, numbers: list[Named], suspects: Sequence[Sus
 def unexplained(problem: Problem, before: Fit, fit: Fit, rounds: Sequence[Round], trials: Sequence[Trial]) -> Remainder | None:
     """What has no name: a formula for what the named effects leave, or one that does better alone than all of them together.
 
-    None where the gap is closed, or what is left is small beside what has a name, or no formula holds on left-out motions.
+    None where the gap is closed, or what is left is small beside what one effect explains, or no formula holds on left-out motions.
+    Where several effects were needed, each of which took what the last one had left, they may be stand-ins for something else.
     """
     errors = trials[-1].errors if trials else rounds[0].errors
     start, end, floor = float(rounds[0].errors.mean()), float(errors.mean()), problem.floor**2
     if np.sqrt(end) <= REAL_GAP * problem.floor:
         return None
-    if trials and np.sqrt(start) - np.sqrt(end) >= CLOSED * (np.sqrt(start) - problem.floor):
-        return None
-    beside = find_remainder(problem, fit, beside_names=bool(trials))
-    if beside is not None and beside.real:
-        left = float(beside.errors.mean())
-        if not trials or (start - end) / (start - floor) < ENOUGH or left - floor < 0.5 * (end - floor):
-            return beside
-    if not trials:
+    closed = bool(trials) and np.sqrt(start) - np.sqrt(end) >= CLOSED * (np.sqrt(start) - problem.floor)
+    if not closed:
+        beside = find_remainder(problem, fit, beside_names=bool(trials))
+        if beside is not None and beside.real:
+            left = float(beside.errors.mean())
+            if not trials or (start - end) / (start - floor) < ENOUGH or left - floor < 0.5 * (end - floor):
+                return beside
+    if not trials or (closed and len(trials) < 2):
         return None
     alone = find_remainder(problem, before)
     if alone is None or not alone.real:
