@@ -16,23 +16,23 @@ NEW = {"widths": (32, 64, 64), "latent": 4, "scale": None}
 
 
 class Autoencoder(FittedCodec):
-    """diffusers' AutoencoderKL, or the one with SVD's temporal decoder; the latent is its mean, divided by its spread."""
+    """diffusers' AutoencoderKL, or the one with SVD's temporal decoder; the latent is its mean, less each channel's `centre`, over
+    each channel's `spread`."""
 
     lossless = False
 
     def __init__(self, network: Any, factor: int, channels: int, scale: float | None, temporal: bool = False) -> None:
         super().__init__()
         self.network, self.factor, self.channels, self.temporal = network, factor, channels, temporal
-        self.spread = nn.Buffer(
-            torch.tensor([1.0 if scale is None else 1.0 / scale])
-        )  # of one number: the store keeps no 0-d arrays
+        self.centre = nn.Buffer(torch.zeros(channels))
+        self.spread = nn.Buffer(torch.full((channels,), 1.0 if scale is None else 1.0 / scale))
 
     def encode(self, images: Tensor) -> Tensor:
-        return self.network.encode(images).latent_dist.mean / self.spread
+        return (self.network.encode(images).latent_dist.mean - self.centre[:, None, None]) / self.spread[:, None, None]
 
     def decode(self, latents: Tensor) -> Tensor:
         about = {"num_frames": len(latents)} if self.temporal else {}
-        return self.network.decode(latents * self.spread, **about).sample
+        return self.network.decode(latents * self.spread[:, None, None] + self.centre[:, None, None], **about).sample
 
 
 class KlVae(Codec):
@@ -91,7 +91,10 @@ class KlVae(Codec):
             losses.append(float(loss.detach()))
         codec.requires_grad_(False).eval()
         with torch.no_grad():
-            codec.spread.fill_(float(torch.cat([codec.network.encode(p).latent_dist.mean for p in images[:256].split(32)]).std()))
+            means = torch.cat([codec.network.encode(part).latent_dist.mean for part in images[:256].split(32)])
+            # by channel: a small VAE's differ fivefold, and one number for all would leave some of them in the noise of `epsilon`
+            codec.centre.copy_(means.mean(dim=(0, 2, 3)))
+            codec.spread.copy_(means.std(dim=(0, 2, 3)).clamp(min=1e-6))
         return losses
 
 

@@ -90,4 +90,4 @@ def sources(config: CodecConfig) -> Mapping[str, Source]:
     return {} if weights is None else {"codec": weights}
 
 
-ENTRY = Stage("codec", 1, ("condition",), CodecConfig, run, sources, ("torch", "numpy", "diffusers"))
+ENTRY = Stage("codec", 2, ("condition",), CodecConfig, run, sources, ("torch", "numpy", "diffusers"))

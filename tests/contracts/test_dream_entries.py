@@ -65,6 +65,20 @@ def test_a_learned_codec_gets_better_when_it_is_trained() -> None:
     assert np.mean(losses[-5:]) < 0.85 * np.mean(losses[:5])
 
 
+def test_a_trained_codecs_latents_are_of_unit_size_in_every_channel_and_lead_back() -> None:
+    torch.manual_seed(0)
+    entry = catalog.load("codecs", "kl_vae", Codec)
+    codec = entry.build(CODECS["kl_vae"], None)
+    pictures = torch.rand(24, 3, 4, 4).repeat_interleave(4, 2).repeat_interleave(4, 3) * 2 - 1
+    entry.train(codec, pictures, 30, seed=0)
+    with torch.no_grad():
+        latents = codec.encode(pictures)
+        plain = codec.network.decode(codec.network.encode(pictures).latent_dist.mean).sample
+        assert torch.allclose(latents.mean(dim=(0, 2, 3)), torch.zeros(codec.channels), atol=1e-3)
+        assert torch.allclose(latents.std(dim=(0, 2, 3)), torch.ones(codec.channels), atol=1e-3)
+        assert torch.allclose(codec.decode(latents), plain, atol=1e-4)
+
+
 @pytest.mark.parametrize("name", catalog.names("denoisers"))
 def test_a_new_denoiser_passes_the_composite_on_and_refuses_options_it_does_not_know(name: str) -> None:
     torch.manual_seed(0)
