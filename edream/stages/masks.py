@@ -17,6 +17,7 @@ from edream.ingest.layered import images_of, layer, layered_bundle, layered_epis
 from edream.ingest.stored import stored_episodes
 from edream.ingest.video import decode_image, encode_image
 from edream.vision.frames import frames_at, resized
+from edream.vision.mask_file import read_arrays
 from edream.vision.plate import plate_of
 from edream.vision.views import plate_file, view_of
 
@@ -120,17 +121,15 @@ def _truth(path: Path | None) -> Mapping[str, np.ndarray]:
         return {}
     if not path.is_file():
         raise EdreamError(f"There are no true masks at {path}; expected .npz with an array (T, H, W) for each episode.")
-    try:
-        with np.load(path, allow_pickle=False) as opened:
-            return {name: opened[name] for name in opened.files}
-    except (ValueError, OSError) as error:
-        raise EdreamError(f"{path} cannot be read as .npz: {error}.") from error
+    return read_arrays(path)
 
 
 def _judged(found: np.ndarray, truth: np.ndarray | None, rows: np.ndarray, height: int, width: int) -> dict[str, Any]:
     """IoU of each image in which the object is truly there."""
     if truth is None:
         return {}
+    if len(rows) and rows[-1] >= len(truth):
+        raise EdreamError(f"masks.truth has {len(truth)} masks of an episode with {int(rows[-1]) + 1} images or more.")
     scores = []
     for mask, row in zip(found > 0, rows, strict=True):
         small = cv2.resize(truth[row].astype(np.float32), (width, height), interpolation=cv2.INTER_AREA) >= 0.5

@@ -215,6 +215,15 @@ def test_a_thing_that_the_robot_holds_is_found_up_to_the_fingers() -> None:
     assert (found & truth).sum() / (found | truth).sum() > 0.8
 
 
+def test_a_point_on_the_object_is_enough_to_follow_it() -> None:
+    seen, truth = footage()
+    found = catalog.load("segmenters", "track", Segmenter).masks(seen, {"points": {"one": [[26 / 48, 35 / 48]]}})
+    assert (found & truth).sum() / (found | truth).sum() > 0.8 and not (found & (seen.robot > 127)).any()
+    for wrong in ({"points": {"all": [[26, 35]]}}, {"points": {"all": []}}, {"points": {"other": [[0.5, 0.5]]}}):
+        with pytest.raises(EdreamError, match="no first-frame box or points"):
+            catalog.load("segmenters", "track", Segmenter).masks(seen, wrong)
+
+
 def test_segmenters_say_what_they_lack(tmp_path: Path) -> None:
     seen, _ = footage()
     for name, words in (("track", "boxes"), ("precomputed", "masks.folder"), ("sam2", "masks.weights")):
@@ -259,3 +268,71 @@ def test_run_lengths_are_read_as_coco_writes_them(tmp_path: Path) -> None:
     (tmp_path / "one.json").write_text(json.dumps(rows))
     found = catalog.load("segmenters", "precomputed", Segmenter).masks(seen, {"folder": tmp_path})
     assert np.array_equal(found, truth & (seen.robot <= 127))
+    texts = [{"size": [48, 48], "counts": _packed(row["counts"])} for row in rows]
+    (tmp_path / "one.json").write_text(json.dumps(texts))
+    assert np.array_equal(catalog.load("segmenters", "precomputed", Segmenter).masks(seen, {"folder": tmp_path}), found)
+
+
+def _packed(counts: list[int]) -> str:
+    """COCO's compressed counts, as its tools write them: five bits a character, from the fourth on differences to two before."""
+    text = ""
+    for i, count in enumerate(counts):
+        value, more = count - (counts[i - 2] if i > 2 else 0), True
+        while more:
+            bits, value = value & 31, value >> 5
+            more = value != (-1 if bits & 16 else 0)
+            text += chr(48 + bits + (32 if more else 0))
+    return text
+
+
+def test_run_lengths_of_coco_tools_are_understood(tmp_path: Path) -> None:
+    """`pycocotools.mask.encode` writes a 9 x 9 mask with rows 2 to 4, columns 3 to 7 as this text."""
+    from edream.vision.mask_file import read_masks
+
+    mask = np.zeros((9, 9), bool)
+    mask[2:5, 3:8] = True
+    (tmp_path / "one.json").write_text('[{"size": [9, 9], "counts": "m03600000007"}, null]')
+    (tmp_path / "two.json").write_text('[{"size": [9, 9], "counts": [29, 3, 6, 3, 6, 3, 6, 3, 6, 3, 13]}, null]')
+    for name in ("one", "two"):
+        found = read_masks(tmp_path, name)
+        assert np.array_equal(found[0], mask) and not found[1].any()
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "[]",
+        "[null]",
+        "{}",
+        '[{"size": [1000000, 1000000], "counts": [1000000000000]}]',
+        '[{"size": [-4, -4], "counts": [16]}]',
+        '[{"size": [4, 4], "counts": "oooooooooooooooooo"}]',
+        '[{"size": [4, 4], "counts": "o"}]',
+        '[{"size": [4, 4], "counts": [-1, 17]}]',
+        '[{"size": [4], "counts": [16]}]',
+        "nonsense",
+    ],
+)
+def test_damaged_run_lengths_are_a_sentence(text: str, tmp_path: Path) -> None:
+    from edream.vision.mask_file import read_masks
+
+    (tmp_path / "one.json").write_text(text)
+    with pytest.raises(EdreamError, match="cannot be read"):
+        read_masks(tmp_path, "one")
+
+
+def test_mask_arrays_are_bounded_before_memory_is_taken(tmp_path: Path) -> None:
+    import io
+    import zipfile
+
+    from edream.vision.mask_file import read_arrays, read_masks
+
+    header = io.BytesIO()
+    np.lib.format.write_array_header_1_0(header, {"descr": "|u1", "fortran_order": False, "shape": (10**6, 10**5, 10**5)})
+    with zipfile.ZipFile(tmp_path / "one.npz", "w") as archive:
+        archive.writestr("masks.npy", header.getvalue())
+    with pytest.raises(EdreamError, match="2 GiB at most"):
+        read_masks(tmp_path, "one")
+    (tmp_path / "two.npz").write_bytes((tmp_path / "one.npz").read_bytes()[:40])
+    with pytest.raises(EdreamError, match="cannot be read"):
+        read_arrays(tmp_path / "two.npz")
