@@ -21,8 +21,8 @@ PATHS = frozenset(
     | {"policy.objects", "rollouts.plate", "twins.folder", "evaluate.truth"}
 )
 # settings that hold names of the user's own, such as fit.fixed={servo_gain.kp: 18}; Hydra adds to them only where told so
-OPEN = ("fit.fixed", "fit.limits", "fit.scaled", "robot.scaled", "surrogate.options") + tuple(
-    f"ingest.mapping.{name}" for name in ("channels", "units", "scale", "offset")
+OPEN = ("fit.fixed", "fit.limits", "fit.scaled", "robot.scaled", "surrogate.options", "masks.options", "dream.codec.options") + (
+    *(f"ingest.mapping.{name}" for name in ("channels", "units", "scale", "offset")),
 )
 EXPECTED: dict[Any, str] = {
     int: "an integer",

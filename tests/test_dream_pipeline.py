@@ -163,6 +163,55 @@ def test_video_without_a_robot_model_becomes_conditions_too(recorded: Path, tmp_
     assert made["summary.json"]["object_sources"] == ["real", "crop"] and made["summary.json"]["frames"] == 5 * 16
 
 
+ALONE = [word for word in SMALL if not word.startswith(("render.model", "score.long", "score.steps"))]
+
+
+@pytest.mark.parametrize("objective", ["bridge", "epsilon"])
+def test_video_alone_goes_through_a_vae_trained_here_beside_what_the_codec_alone_gives_back(
+    objective: str, recorded: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    words = ["dream.codec.kind=kl_vae", "dream.codec.options={widths: [32, 32]}", "dream.codec_steps=2", "score.steps=[3]"]
+    runs = tmp_path_factory.getbasetemp() / "alone"
+    mine = ["experiment=video", f"data={recorded}", f"runs={runs}", "seed=1", "report.of=dream", *ALONE, *words]
+    made, _ = pipeline.make_run("dream", ("score", "report"), config.compose([*mine, f"dream.objective.kind={objective}"]))
+    rows = {row["label"]: row for row in made["score"]["scores.json"]["rows"]}
+    after = " after 2 real images"
+    assert {f"codec alone{after}", f"held still{after}", f"dream none{after}", f"dream none in 3 steps{after}"} <= set(rows)
+    assert made["score"]["summary.json"]["codec_psnr"] == made["codec"]["summary.json"]["psnr"]
+    assert "The codec alone reaches" in made["report"]["report.html"] and f"codec alone{after}" in made["report"]["report.html"]
+    if objective == "epsilon":
+        assert len(list(runs.glob("codec/*/manifest.json"))) == 1, "both objectives learn on the same latents"
+
+
+SEGMENTERS = {
+    "track": ["masks.options={boxes: {all: [0.3, 0.3, 0.4, 0.4]}}"],
+    "precomputed": ["masks.folder=FOLDER"],
+    "sim": [],
+    "sam2": ["masks.weights=FOLDER", "masks.options={boxes: {all: [0.3, 0.3, 0.4, 0.4]}}"],
+    "none": [],
+}
+
+
+@pytest.mark.parametrize("name", SEGMENTERS)
+def test_every_segmenter_is_named_by_a_setting(name: str, made, recorded: Path, tmp_path: Path) -> None:
+    if name == "sam2":
+        pytest.importorskip("transformers", reason="the extra sam2 is not installed")
+        from tests.tiny_sam2 import save_sam2
+
+        save_sam2(tmp_path / "sam2")
+    if name == "precomputed":
+        for number in range(5):
+            np.savez(tmp_path / f"episode_{number}.npz", np.ones((16, 32, 32), np.uint8))
+    words = [word.replace("FOLDER", str(tmp_path)) for word in SEGMENTERS[name]]
+    masks = pipeline.make("masks", settings(recorded, Path(made[0].runs), f"masks.segmenter={name}", *words))
+    told = masks["summary.json"]
+    assert told["segmenter"] == name and masks["overlay.png"].startswith(b"\x89PNG")
+    assert (told["object_share"] == 0.0) == (name == "none")
+    assert name != "sim" or told["iou_mean"] > 0.8
+    with pytest.raises(EdreamError, match=f"option of segmenter '{name}': 'diference'"):
+        pipeline.make("masks", settings(recorded, Path(made[0].runs), f"masks.segmenter={name}", "masks.options.diference=3"))
+
+
 @pytest.fixture(scope="module")
 def two_cameras(recorded: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The recordings with a second camera, which is the first one's image upside down, and a file that says where both stand."""

@@ -7,7 +7,7 @@ from typing import Any
 from torch import Tensor
 from torch.nn.functional import pixel_shuffle, pixel_unshuffle
 
-from edream.core.errors import EdreamError
+from edream.core.errors import EdreamError, unknown_name
 from edream.learn.codec import Codec, FittedCodec
 
 
@@ -34,6 +34,9 @@ class PixelUnshuffle(Codec):
     summary = "lossless; blocks of pixels become channels (option factor: 1, 2, 4 or 8)"
 
     def build(self, options: Mapping[str, Any], weights: Path | None) -> Unshuffled:
+        for name in options:
+            if name != "factor":
+                raise unknown_name("option of codec 'pixel_unshuffle':", name, ("factor",))
         factor = options.get("factor", 2)
         if factor not in (1, 2, 4, 8) or weights is not None:
             raise EdreamError(f"Codec 'pixel_unshuffle' has factor {factor!r}; expected 1, 2, 4 or 8, and no weights.")

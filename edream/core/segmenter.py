@@ -32,10 +32,15 @@ class Footage:
 
 
 class Segmenter(ABC):
-    """One way to find objects. A new one is one new file in `edream/segmenters/` that defines `ENTRY`."""
+    """One way to find objects. A new one is one new file in `edream/segmenters/` that defines `ENTRY`.
+
+    Attributes:
+        options: names of its own settings, `masks.options.NAME`.
+    """
 
     name: str
     summary: str
+    options: tuple[str, ...] = ()
 
     @abstractmethod
     def masks(self, footage: Footage, options: Mapping[str, Any]) -> Masks:

@@ -90,7 +90,7 @@ def dream_page(made: Mapping[str, Mapping[str, Any]], robot: str) -> str:
 
 def _split(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """What networks made, by part of the image, with and without object segmentation: every metric that has parts."""
-    made = [row for row in rows if row["label"].split()[0] not in ("plate", "composite", "held", "real")]
+    made = [row for row in rows if row["label"].split()[0] not in ("plate", "composite", "codec", "held", "real")]
     metrics = {name: title for name, title in SPLIT.items() if any(set(PARTS) <= set(row.get(name, {})) for row in made)}
     cells = [{"label": row["label"], "cells": [_cell(row, metric, part) for metric in metrics for part in PARTS]} for row in made]
     return {"metrics": list(metrics.values()), "names": list(PARTS.values()), "rows": cells if len(made) > 1 else []}

@@ -20,6 +20,7 @@ class Plate(Segmenter):
 
     name = "plate"
     summary = "difference from a background plate, shadow test, minus the simulated robot, GrabCut"
+    options = ("difference", "shadow_low", "shadow_angle", "rim", "smallest", "grabcut")
 
     def masks(self, footage: Footage, options: Mapping[str, Any]) -> Masks:
         o = {"difference": 26.0, "shadow_low": 0.35, "shadow_angle": 0.10, "rim": 2, "smallest": 12, "grabcut": True, **options}

@@ -22,6 +22,7 @@ class Sam2(Segmenter):
 
     name = "sam2"
     summary = "Grounding DINO and SAM 2 video through transformers, from local weights (masks.weights)"
+    options = ("prompt", "boxes")
 
     def masks(self, footage: Footage, options: Mapping[str, Any]) -> Masks:
         weights = options.get("weights")

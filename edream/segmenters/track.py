@@ -22,6 +22,7 @@ class Track(Segmenter):
 
     name = "track"
     summary = "first-frame box or points, DIS optical flow and GrabCut"
+    options = ("boxes", "points", "colour", "reach")
 
     def masks(self, footage: Footage, options: Mapping[str, Any]) -> Masks:
         first, (h, w) = footage.real[0], footage.robot.shape[1:]

@@ -10,7 +10,7 @@ import numpy as np
 
 from edream import catalog
 from edream.core.episode import Episode
-from edream.core.errors import EdreamError
+from edream.core.errors import EdreamError, unknown_name
 from edream.core.segmenter import Footage, Segmenter
 from edream.core.stage import Artifact, Bundle, Source, Stage, Work
 from edream.ingest.layered import images_of, layer, layered_bundle, layered_episodes, layered_shard
@@ -48,6 +48,9 @@ def run(inputs: Mapping[str, Artifact], config: MasksConfig, work: Work) -> Bund
     """Plate first, then every episode; where the truth is known, how good the masks are."""
     options = config.masks
     entry = catalog.load("segmenters", options.segmenter, Segmenter)
+    for name in options.options:
+        if name not in entry.options:
+            raise unknown_name(f"option of segmenter {options.segmenter!r}:", name, entry.options)
     rendered = inputs["render"]["summary.json"]
     cameras = tuple(dict.fromkeys(camera for _, camera in rendered.get("views", {"": ("", rendered["camera"])}).values()))
     height, width = next(_footage(inputs))[1]["robot"].shape[1:3]

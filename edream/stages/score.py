@@ -19,6 +19,7 @@ from edream.vision.grain import Grain
 from edream.vision.judging import (
     composites,
     drawn,
+    given_back,
     held_still,
     long_video,
     plates,
@@ -33,6 +34,7 @@ from edream.vision.trained import loaded
 from edream.vision.variants import DREAM, REGRESSION, WITHOUT, DreamOptions, variants
 
 Row = tuple[str, Callable[[], Clips]]
+CODEC_ALONE = "codec alone"
 AFTER = " after "  # in the label of a row that is given the first images, and judged on the others
 
 
@@ -112,7 +114,7 @@ def run(inputs: Mapping[str, Artifact], config: ScoreConfig, work: Work) -> Bund
         return {"found.json": found, "made.safetensors": {"made": made}}
 
     with deterministic():
-        for label, make in _rows(bench):
+        for label, make in _rows(bench, config.render.model == "none"):
             kept = work.shards(label.replace(" ", "_"), [(label, make)], measured, parallel=False)[0]
             clips[label] = kept["made.safetensors"]["made"]
             table.append({"label": label, **kept["found.json"]})
@@ -137,27 +139,33 @@ def _picked(scenes: Scenes, frames: int, most: int) -> list[tuple[int, int]]:
     return [found[i] for i in np.unique(np.linspace(0, len(found) - 1, min(most, len(found))).astype(int))]
 
 
-def _rows(bench: Bench) -> Iterator[Row]:
-    """Everything that is measured, each with a function that makes its clips."""
-    first = bench.sources[0]
+def _rows(bench: Bench, alone: bool) -> Iterator[Row]:
+    """Everything that is measured, each with a function that makes its clips; of video alone, what is compared with holding the
+    first images still goes on from the same images."""
+    first, model = bench.sources[0], bench.models[DREAM]
+    after = f"{AFTER}{bench.given} real images" if bench.given else ""
+    ours, given = (after, bench.given) if alone else ("", 0)
     yield "plate", lambda: plates(bench.scenes, bench.picked, bench.frames)
     for source in dict.fromkeys([*bench.sources, "none"]):
         yield f"composite {source}", lambda source=source: composites(bench.scenes, bench.picked, bench.frames, source)
+    if not model.codec.lossless:
+        yield f"{CODEC_ALONE}{ours}", lambda: given_back(model, bench.scenes, bench.picked, bench.frames)
     for source in bench.sources:
         yield f"{DREAM} {source}", lambda source=source: bench.drawn(DREAM, source, True)
-    if bench.grains:
-        yield f"{DREAM} {first} without grain", lambda: bench.drawn(DREAM, first, False)
-    usual = bench.models[DREAM].objective.steps
-    for steps in bench.steps:
-        if steps != usual:
-            yield f"{DREAM} {first} in {steps} steps", lambda steps=steps: bench.drawn(DREAM, first, True, steps)
     if bench.given:
-        after = f"{AFTER}{bench.given} real images"
         yield f"held still{after}", lambda: held_still(bench.scenes, bench.picked, bench.frames, bench.given)
         yield f"{DREAM} {first}{after}", lambda: bench.drawn(DREAM, first, True, None, bench.given)
+    if bench.grains:
+        yield f"{DREAM} {first} without grain{ours}", lambda: bench.drawn(DREAM, first, False, None, given)
+    for steps in bench.steps:
+        if steps != model.objective.steps:
+            words = f"in {steps} step{'s' if steps > 1 else ''}"
+            yield f"{DREAM} {first} {words}{ours}", lambda steps=steps: bench.drawn(DREAM, first, True, steps, given)
     if REGRESSION in bench.models:
         for source in bench.sources:
             yield f"{REGRESSION} {source}", lambda source=source: bench.drawn(REGRESSION, source, False)
+        if bench.given and alone:
+            yield f"{REGRESSION} {first}{after}", lambda: bench.drawn(REGRESSION, first, False, None, bench.given)
         if bench.grains:
             yield f"{REGRESSION} {first} with grain", lambda: bench.drawn(REGRESSION, first, True)
     if WITHOUT in bench.models:
@@ -261,4 +269,4 @@ def sources(config: ScoreConfig) -> Mapping[str, Source]:
     return {f"metric {name}": path for name, path in _weights(config.score).items()}
 
 
-ENTRY = Stage("score", 3, ("condition", "dream"), ScoreConfig, run, sources, ("torch", "numpy", "scikit-image"))
+ENTRY = Stage("score", 4, ("condition", "dream"), ScoreConfig, run, sources, ("torch", "numpy", "scikit-image"))
