@@ -140,6 +140,73 @@ def test_recordings_without_video_are_a_sentence(tmp_path: Path) -> None:
         pipeline.make("camera", cfg)
 
 
+def test_calibrate_camera_tells_the_reprojection_error_of_marked_points(made, recorded: Path, tmp_path: Path) -> None:
+    import mujoco
+    from typer.testing import CliRunner
+
+    from edream.cli import app
+    from edream.core.camera import from_json
+    from edream.ingest.stored import stored_episodes
+
+    true = from_json(json.loads(Path(f"{recorded}.cameras.json").read_text()), "truth")["cam_high"]
+    model, lines, rng = pan_tilt().model, ["episode,time,point,u,v"], np.random.default_rng(0)
+    data = mujoco.MjData(model)
+    for episode in stored_episodes(pipeline.make("ingest", made[0])):
+        for row in (2, 8, 14):
+            data.qpos[:] = episode.position[row]
+            mujoco.mj_kinematics(model, data)
+            for point, place in (("ee", data.site("ee").xpos), ("head", data.body("head").xpos)):
+                u, v = true.project(place[None])[0] + rng.normal(0, 0.1, 2)
+                lines.append(f"{episode.name},{episode.times[row] - episode.times[0]:.4f},{point},{u:.3f},{v:.3f}")
+    marks = tmp_path / "marks.csv"
+    marks.write_text("\n".join(lines))
+    words = ["robot=pan_tilt", f"data={recorded}", f"runs={made[0].runs}", f"camera.marks={marks}", "camera.source=marks"]
+    done = CliRunner().invoke(app, ["calibrate", "--json", "camera", *words])
+    assert done.exit_code == 0, done.output
+    told = json.loads(done.output)
+    assert told["reprojection_error_px"] < 0.3 and "reprojection error" in told["sentence"]
+    found = from_json(json.loads((Path(told["artifact"]) / "cameras.json").read_text()), "found")["cam_high"]
+    assert np.linalg.norm(found.pose[:3, 3] - true.pose[:3, 3]) < 0.05
+
+
+def test_a_checkpoint_from_elsewhere_is_one_sentence_and_exit_code_2(
+    made, recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    import torch
+    from diffusers.models.autoencoders.autoencoder_kl import AutoencoderKL
+
+    from edream.cli import main
+
+    folder = tmp_path / "vae"
+    AutoencoderKL(block_out_channels=(32,), layers_per_block=1).save_pretrained(folder)
+    weights = folder / "diffusion_pytorch_model.safetensors"
+    good = weights.read_bytes()
+    torch.save({"w": torch.zeros(3)}, tmp_path / "pickled")
+    bad = {"pickled": (tmp_path / "pickled").read_bytes(), "damaged": good[: len(good) // 2]}
+    beside = [
+        f"camera.file={recorded}.cameras.json",
+        f"render.scene={recorded}.scene.json",
+        f"masks.truth={recorded}.truth.masks.npz",
+    ]
+    words = ["robot=pan_tilt", f"data={recorded}", f"runs={made[0].runs}", "seed=1", *beside, *SMALL]
+    words += ["dream.codec.kind=kl_vae", f"dream.codec.weights={folder}"]
+
+    def refused(said: str) -> None:
+        monkeypatch.setattr(sys, "argv", ["edream", "dream", *words])
+        with pytest.raises(SystemExit) as left:
+            main()
+        last = capsys.readouterr().err.strip().splitlines()[-1]
+        assert left.value.code == 2 and said in last and last.endswith("."), last
+
+    for said, data in bad.items():
+        weights.write_bytes(data)
+        refused(said)
+    weights.write_bytes(good)
+    config_file = folder / "config.json"
+    config_file.write_text(config_file.read_text().replace("32", "64"))
+    refused("does not fit this network")
+
+
 def test_a_camera_found_with_a_poor_overlap_is_doubted_aloud(made, recorded: Path) -> None:
     wrong = ["camera.source=silhouettes", "camera.guess.azimuth=180", "camera.frames=4", "camera.evaluations=20"]
     told = pipeline.make("camera", settings(recorded, Path(made[0].runs), *wrong))["summary.json"]

@@ -121,7 +121,9 @@ def run(inputs: Mapping[str, Artifact], config: ScoreConfig, work: Work) -> Bund
         longest = _long(models[DREAM], scenes, options, sources[0], config.seed, asked.long)
     table.append({"label": "real", "silhouette_iou": {"robot": silhouette_iou(real, scenes, picked, where)}})
     main, bases = _main_rows(bench, config.render.model == "none")
-    pictures, about_pictures = _pictures(clips | {"real": real}, main, bases, sources, asked.strips, config.render.rate or 12.5)
+    pictures, about_pictures = _pictures(
+        clips | {"real": real}, main, bases, sources, asked.strips, config.render.rate or 12.5, bench.given
+    )
     summary = _summary(table, main, bases, sources, inputs["dream"]["summary.json"], longest, len(picked), options)
     told = {"metrics": {name: one.about for name, one in metrics.items() if one.learned}}
     told |= {"not_computed": [name for name in catalog.names("metrics") if name not in metrics]}
@@ -189,11 +191,11 @@ def _main_rows(bench: Bench, alone: bool) -> tuple[str, list[str]]:
 
 
 def _pictures(
-    clips: Mapping[str, Clips], main: str, bases: Sequence[str], sources: Sequence[str], count: int, rate: float
+    clips: Mapping[str, Clips], main: str, bases: Sequence[str], sources: Sequence[str], count: int, rate: float, given: int
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """Film strips of the worst clips; moving pictures of the worst, the median and the best one, side by side."""
-    real = clips["real"]
-    error = np.square(clips[main].astype(np.float32) - real.astype(np.float32)).mean(axis=(1, 2, 3, 4))
+    real, first = clips["real"], given if AFTER in main else 0  # images that were given are right without any merit
+    error = np.square(clips[main][:, first:].astype(np.float32) - real[:, first:].astype(np.float32)).mean(axis=(1, 2, 3, 4))
     order = np.argsort(-error, kind="stable")
     rows = [
         f"composite {sources[0]}",
@@ -203,7 +205,7 @@ def _pictures(
         WITHOUT,
         "real",
     ]
-    rows = [label for label in rows if label in clips]
+    rows = [label for label in rows if label in clips and (not first or AFTER in label or label == "real")]
     found: dict[str, Any] = {}
     for rank, index in enumerate(order[:count]):
         found[f"strip-{rank}.png"] = encode_image(film_strip([clips[label][index] for label in rows], scale=1), "png")
@@ -269,4 +271,4 @@ def sources(config: ScoreConfig) -> Mapping[str, Source]:
     return {f"metric {name}": path for name, path in _weights(config.score).items()}
 
 
-ENTRY = Stage("score", 4, ("condition", "dream"), ScoreConfig, run, sources, ("torch", "numpy", "scikit-image"))
+ENTRY = Stage("score", 5, ("condition", "dream"), ScoreConfig, run, sources, ("torch", "numpy", "scikit-image"))

@@ -1,6 +1,7 @@
 """Where a camera stands, from points marked by hand or from the robot's silhouettes."""
 
 import csv
+import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +17,7 @@ from scipy.spatial.transform import Rotation
 from edream.core.camera import Camera, looking_at
 from edream.core.episode import Episode
 from edream.core.errors import EdreamError, unknown_name
+from edream.ingest.border import read_text
 from edream.sim.camera import SimulationCamera
 from edream.sim.meshes import lightened
 from edream.sim.robot import RobotModel
@@ -64,14 +66,21 @@ def read_marks(path: Path) -> list[Mark]:
     """
     if not path.is_file():
         raise EdreamError(f"There is no file of marked points at {path}; expected CSV with the columns {', '.join(COLUMNS)}.")
-    with path.open(newline="", encoding="utf-8") as stream:
-        rows = list(csv.DictReader(stream))
+    text = read_text(path)
     try:
-        return [Mark(r["episode"], float(r["time"]), r["point"], float(r["u"]), float(r["v"]), r.get("camera")) for r in rows]
-    except (KeyError, TypeError, ValueError) as error:
+        rows = csv.DictReader(io.StringIO(text, newline=""))
+        return [Mark(r["episode"], _finite(r["time"]), r["point"], _finite(r["u"]), _finite(r["v"]), r.get("camera")) for r in rows]
+    except (KeyError, TypeError, ValueError, csv.Error) as error:
         raise EdreamError(
             f"{path} cannot be read as marked points ({error}); expected the columns {', '.join(COLUMNS)}."
         ) from error
+
+
+def _finite(text: str) -> float:
+    value = float(text)
+    if not np.isfinite(value):
+        raise ValueError(f"{text!r} is no finite number")
+    return value
 
 
 def fit_to_marks(robot: RobotModel, episodes: Sequence[Episode], name: str, marks: Sequence[Mark]) -> tuple[Camera, dict[str, Any]]:

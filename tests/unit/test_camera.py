@@ -1,6 +1,8 @@
 """Cameras: projection, what the simulation renders, files, and poses found from marks and silhouettes."""
 
 from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -13,7 +15,7 @@ from edream.core.scene import SceneObject
 from edream.sim.camera import SimulationCamera
 from edream.sim.meshes import lightened
 from edream.sim.robot import RobotModel
-from edream.vision.pose import CameraGuess, Mark, fit_to_marks, fit_to_silhouettes
+from edream.vision.pose import CameraGuess, Mark, fit_to_marks, fit_to_silhouettes, read_marks
 from tests.rendering import camera_on, pan_tilt
 
 
@@ -70,6 +72,60 @@ def test_the_robot_moves_in_the_image_and_hides_objects_behind_it() -> None:
     behind = eye.see({"pan": 0.0, "tilt": 0.0}, {"box": np.array([-0.1, 0.09, 0.1, 1, 0, 0, 0])})
     assert behind.object.any() and np.array_equal(behind.robot, one.robot)
     eye.close()
+
+
+@pytest.mark.usefixtures("rendering")
+def test_a_camera_that_moves_sees_each_frame_from_its_own_pose() -> None:
+    still = camera_on()
+    other = looking_at(np.array([0.1, 0.6, 0.4]), np.array([0.0, 0.0, 0.1]))
+    moving, fixed = replace(still, pose=np.stack([still.pose, other])), replace(still, pose=other)
+    assert moving.moves and not fixed.moves
+    seen = {}
+    for name, camera, frame in (("first", moving, 0), ("second", moving, 1), ("alone", fixed, 0)):
+        eye = SimulationCamera(pan_tilt(), camera)
+        seen[name] = eye.see({"pan": 0.4, "tilt": 0.2}, frame=frame)
+        eye.close()
+    assert np.array_equal(seen["second"].colour, seen["alone"].colour) and np.array_equal(seen["second"].robot, seen["alone"].robot)
+    assert np.abs(seen["first"].robot.astype(int) - seen["second"].robot).mean() > 2
+
+
+def test_osmesa_stands_in_for_egl_and_with_neither_the_answer_names_the_packages(monkeypatch: pytest.MonkeyPatch) -> None:
+    import mujoco.rendering.classic.gl_context as chosen
+
+    from edream.sim import camera as cameras
+
+    asked = []
+
+    def without(missing: tuple[str, ...]) -> None:
+        def find(name: str):
+            asked.append(name)
+            if name in missing:
+                raise AttributeError("'NoneType' object has no attribute 'eglQueryString'")
+            return SimpleNamespace(GLContext=name)
+
+        monkeypatch.setattr(cameras, "import_module", find)
+
+    for name in ("MUJOCO_GL", "DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(chosen, "GLContext", None)
+    monkeypatch.setattr(cameras.platform, "system", lambda: "Linux")
+    without(("mujoco.egl",))
+    cameras.prepare_graphics()
+    assert chosen.GLContext == "mujoco.osmesa" and asked == ["mujoco.egl", "mujoco.osmesa"]
+    without(("mujoco.egl", "mujoco.osmesa"))
+    with pytest.raises(EdreamError, match="libegl1, libgl1-mesa-dri and libopengl0, or libosmesa6 alone") as caught:
+        SimulationCamera(pan_tilt(), camera_on(16))
+    assert "eglQueryString" in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_marks_that_are_damaged_are_a_sentence(tmp_path: Path) -> None:
+    path = tmp_path / "marks.csv"
+    head = b"episode,time,point,u,v\n"
+    for data in (b"\xff\xfe\x00nonsense", head + b"one,0,ee,nan,3\n", head + b"one,0,ee\n", b"time,point\n1,ee\n"):
+        path.write_bytes(data)
+        with pytest.raises(EdreamError, match=r"marks\.csv") as caught:
+            read_marks(path)
+        assert "\n" not in str(caught.value)
 
 
 @pytest.mark.usefixtures("rendering")
