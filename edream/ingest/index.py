@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Iterable
+from collections.abc import Container, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -78,13 +78,13 @@ def index_row(episode: Episode, file: Path) -> IndexRow:
     )
 
 
-def file_name(name: str, taken: Iterable[str] = ()) -> str:
+def file_name(name: str, taken: Container[str] = ()) -> str:
     """A safe file name for an episode, unlike those taken: letters, digits, dot, dash and underscore only."""
     plain = "".join(letter if (letter.isalnum() and letter.isascii()) or letter in "._-" else "_" for letter in name).lstrip(".")[
         :150
     ]
-    used, candidate, number = set(taken), f"{plain or 'episode'}.mcap", 2
-    while candidate in used:
+    candidate, number = f"{plain or 'episode'}.mcap", 2
+    while candidate in taken:
         candidate, number = f"{plain or 'episode'}-{number}.mcap", number + 1
     return candidate
 

@@ -41,10 +41,11 @@ def layered_bundle(shards: Iterable[Artifact]) -> tuple[dict[str, Any], list[dic
     """The folder `episodes/` with its index, and what each shard said about itself."""
     bundle: dict[str, Any] = {}
     rows: list[IndexRow] = []
-    told = []
+    told, taken = [], set()
     for shard in shards:
         about = shard[ABOUT]
-        row = IndexRow(**(about["row"] | {"file": file_name(about["row"]["name"], (row.file for row in rows))}))
+        row = IndexRow(**(about["row"] | {"file": file_name(about["row"]["name"], taken)}))
+        taken.add(row.file)
         bundle[f"episodes/{row.file}"] = shard.path(FILE)
         rows.append(row)
         told.append(about["about"])

@@ -130,13 +130,14 @@ def _bundle(shards: Iterable[Artifact], joints: tuple[str, ...], noticed: tuple[
     """The folder `episodes/`, which is a data set of its own (files and index), what was noticed, and a preview of the cameras."""
     bundle: dict[str, Any] = {}
     rows: list[IndexRow] = []
-    malformed, findings = [], {}
+    malformed, findings, taken = [], {}, set()
     for shard in shards:
         if MALFORMED in shard:
             malformed.append(shard[MALFORMED])
             continue
         about = shard[ABOUT]
-        row = IndexRow(**(about["row"] | {"file": file_name(about["row"]["name"], (row.file for row in rows))}))
+        row = IndexRow(**(about["row"] | {"file": file_name(about["row"]["name"], taken)}))
+        taken.add(row.file)
         bundle[f"episodes/{row.file}"] = shard.path(EPISODE)
         if not rows:
             bundle |= {f"preview/{name}": shard.path(name) for name in shard if name.endswith(".png")}
