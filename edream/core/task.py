@@ -201,9 +201,9 @@ def pinched(pairs: Int[np.ndarray, "C 2"], finger: Int[np.ndarray, "G"], thing: 
         thing: of each geom, the thing it is part of.
     """
     met: dict[str, set[int]] = {}
-    for one, two in pairs:
-        for a, b in ((one, two), (two, one)):
-            name = thing[b]
-            if finger[a] >= 0 and name is not None:
-                met.setdefault(name, set()).add(int(finger[a]))
+    sides = finger[pairs]
+    for number, side in zip(*np.nonzero(sides >= 0), strict=True):  # most contacts are no finger's
+        name = thing[pairs[number, 1 - side]]
+        if name is not None:
+            met.setdefault(name, set()).add(int(sides[number, side]))
     return frozenset(name for name, fingers in met.items() if any(f % 2 == 0 and f + 1 in fingers for f in fingers))

@@ -2,8 +2,10 @@
 
 import math
 from collections.abc import Callable, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import nullcontext
 from dataclasses import dataclass
+from typing import Generic, TypeVar
 
 import numpy as np
 import torch
@@ -14,6 +16,7 @@ from edream.learn import ranks
 from edream.learn.checkpoint import fill
 
 State = dict[str, np.ndarray]
+T = TypeVar("T")
 WEIGHTS, AVERAGE, FIRST, SECOND = "weights/", "average/", "first/", "second/"
 
 
@@ -51,6 +54,34 @@ class Schedule:
             return self.rate * (step + 1) / self.warmup
         done = (step - self.warmup) / max(1, self.steps - self.warmup)
         return self.rate * (0.05 + 0.95 * 0.5 * (1.0 + math.cos(math.pi * min(done, 1.0))))
+
+
+class Ahead(Generic[T]):
+    """What a step is to learn from, made on a thread of its own while the step before is learned.
+
+    It follows from the step's number alone, so when it is made changes nothing.
+
+    Args:
+        make: what a step of this number learns from.
+        last: the number after the last step's.
+    """
+
+    def __init__(self, make: Callable[[int], T], last: int) -> None:
+        self._make, self._last = make, last
+        self._pool = ThreadPoolExecutor(1)
+        self._coming: tuple[int, Future[T]] | None = None
+
+    def __enter__(self) -> "Ahead[T]":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._pool.shutdown(wait=True, cancel_futures=True)
+
+    def at(self, step: int) -> T:
+        """What this step learns from; the next one's is begun."""
+        made = self._coming[1] if self._coming and self._coming[0] == step else self._pool.submit(self._make, step)
+        self._coming = (step + 1, self._pool.submit(self._make, step + 1)) if step + 1 < self._last else None
+        return made.result()
 
 
 def new_state(network: nn.Module) -> State:

@@ -158,6 +158,24 @@ def reference_of(network: FittedPolicy, played: Played, about: PolicyAbout, devi
     return torch.stack(found)
 
 
+@dataclass(frozen=True, eq=False)
+class Drawn:
+    """What a step looks at.
+
+    Attributes:
+        trials: the trial of each row of the loss.
+        places: the decisions, those of whole trials or one a row.
+        chosen, rejected: rows that did better, and those that did worse.
+        seen: at each decision, shaken.
+    """
+
+    trials: list[int]
+    places: Places
+    chosen: list[int]
+    rejected: list[int]
+    seen: Seen
+
+
 class Lessons:
     """The loss of each step of a round; a batch follows from the seed and the step's number alone.
 
@@ -185,12 +203,16 @@ class Lessons:
         self._seed = seed
         self.told: list[dict[str, float]] = []
 
-    def loss(self, network: FittedPolicy, about: PolicyAbout, step: int, device: torch.device) -> Tensor:
-        """The objective's loss of a step, in units of the mean error of one number, as a supervised loss beside it is."""
+    def at(self, step: int, about: PolicyAbout) -> "Drawn":
+        """What a step looks at; it follows from the seed and the step's number alone."""
         rng = np.random.default_rng((self._seed, 0x9A1, step))
         trials, places, chosen, rejected = self._drawn(rng)
-        seen = self.played.seen(places, about, self.options.shake, rng).to(device)
-        meant = Meant.of(network, self.played, places, seen, about)
+        return Drawn(trials, places, chosen, rejected, self.played.seen(places, about, self.options.shake, rng))
+
+    def loss(self, network: FittedPolicy, about: PolicyAbout, drawn: "Drawn", device: torch.device) -> Tensor:
+        """The objective's loss of a step, in units of the mean error of one number, as a supervised loss beside it is."""
+        trials, places, chosen, rejected = drawn.trials, drawn.places, drawn.chosen, drawn.rejected
+        meant = Meant.of(network, self.played, places, drawn.seen.to(device), about)
         sums = self._sums(meant, replace(meant, mean=self.reference[places.trials, places.decisions].to(device)), about.spread)
         if len(trials) < len(places.trials):  # whole trials
             sums = {name: one.unflatten(0, (len(trials), -1)).sum(dim=1) for name, one in sums.items()}

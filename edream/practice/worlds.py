@@ -94,10 +94,7 @@ class CompositeEyes(RawEyes):
     plate: np.ndarray
 
     def look(self, world: World, observation: Observation) -> Mapping[str, np.ndarray]:
-        found = {}
-        for name, seen in _simulated(world).conditions().items():
-            found[name] = over(self.plate, seen.composite, np.maximum(seen.robot, seen.object))
-        return found
+        return {name: over(self.plate, *seen) for name, seen in _simulated(world).cutouts().items()}
 
 
 class DreamedEyes(RawEyes):

@@ -137,6 +137,10 @@ class SimulatedWorkcell(World):
     def conditions(self) -> Mapping[str, Conditions]:
         return self._look().conditions(self.model, self.data)
 
+    def cutouts(self) -> Mapping[str, tuple[np.ndarray, np.ndarray]]:
+        """Robot and things as `conditions` has them, (H, W, 3), and the share of each pixel that they cover, 0..255, (H, W)."""
+        return self._look().cutouts(self.model, self.data)
+
     def raw(self) -> Mapping[str, np.ndarray]:
         """The raw rendering of every camera, (H, W, 3)."""
         return self._look().colours(self.model, self.data)

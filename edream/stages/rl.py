@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,13 +18,13 @@ from edream.learn.checkpoint import weights_digest
 from edream.learn.determinism import deterministic
 from edream.learn.device import device_of
 from edream.learn.preference import Preference
-from edream.learn.training import AVERAGE, new_state, part, train
+from edream.learn.training import AVERAGE, Ahead, new_state, part, train
 from edream.practice.about import ABOUT, WEIGHTS, PolicyAbout
 from edream.practice.collecting import Manner, Player, collected, outcomes_of
 from edream.practice.demonstrations import ChunkBatches
 from edream.practice.dreaming import eyes_of
 from edream.practice.imitating import Successes
-from edream.practice.learning import Lessons, Played, RlOptions, reference_of, shall_stop
+from edream.practice.learning import Drawn, Lessons, Played, RlOptions, reference_of, shall_stop
 from edream.practice.options import PolicyOptions, SftOptions
 from edream.practice.ranking import require_pairs
 from edream.practice.rehearsing import RolloutOptions, calm, cell_of, needs_of, physics_for, shards_of, sources_of
@@ -138,11 +139,14 @@ def _trained(
     if options.successes and done.groups:
         imitated.append((options.successes, done))
 
-    def loss_of(step: int) -> torch.Tensor:
+    def batches_of(step: int) -> tuple[Drawn, list[Any]]:
+        return lessons.at(step, about), [batches.at(step) for _, batches in imitated]
+
+    def loss_of(step: int, ahead: Ahead[tuple[Drawn, list[Any]]]) -> torch.Tensor:
+        drawn, more = ahead.at(step)
         torch.manual_seed(config.seed * 1_000_003 + step)  # of dropout
-        value = lessons.loss(network, about, step, device)
-        for weight, batches in imitated:
-            seen, actions, valid, chance = batches.at(step)
+        value = lessons.loss(network, about, drawn, device)
+        for (weight, _), (seen, actions, valid, chance) in zip(imitated, more, strict=True):
             value = value + weight * network.loss(seen.to(device), actions.to(device), valid.to(device), chance)
         return value
 
@@ -153,8 +157,8 @@ def _trained(
         def piece(before: Artifact | None, rng: np.random.Generator, first: int = first, last: int = last) -> Bundle:
             begun = new_state(network) if before is None else before["state.safetensors"]
             lessons.told.clear()
-            with torch.random.fork_rng(devices=[]):
-                state, _ = train(network, loss_of, begun, first, last, options.train)
+            with torch.random.fork_rng(devices=[]), Ahead(batches_of, last) as ahead:
+                state, _ = train(network, partial(loss_of, ahead=ahead), begun, first, last, options.train)
             told = {"step": last, "steps": list(lessons.told), "stop": shall_stop(lessons.told, lessons.entry, options.slack)}
             kept = {name: value.numpy() for name, value in part(state, AVERAGE).items()}
             return {"state.safetensors": state, WEIGHTS: kept, "told.json": told}

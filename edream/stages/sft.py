@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from edream.learn.checkpoint import fill, weights_digest
 from edream.learn.determinism import deterministic
 from edream.learn.device import device_of
 from edream.learn.policy import FittedPolicy, masked_l1
-from edream.learn.training import AVERAGE, new_state, part, train
+from edream.learn.training import AVERAGE, Ahead, new_state, part, train
 from edream.practice.about import ABOUT, WEIGHTS, PolicyAbout
 from edream.practice.demonstrations import ChunkBatches
 from edream.practice.options import PolicyOptions, SftOptions
@@ -73,8 +74,8 @@ def _trained(about: PolicyAbout, batches: ChunkBatches, judge: ChunkBatches, con
     network = about.network(seed=config.seed).to(device)
     schedule = config.sft.train
 
-    def loss_of(step: int) -> torch.Tensor:
-        seen, actions, valid, chance = batches.at(step)
+    def loss_of(step: int, ahead: Ahead[Any]) -> torch.Tensor:
+        seen, actions, valid, chance = ahead.at(step)
         torch.manual_seed(config.seed * 1_000_003 + step)  # of dropout
         return network.loss(seen.to(device), actions.to(device), valid.to(device), chance)
 
@@ -84,8 +85,8 @@ def _trained(about: PolicyAbout, batches: ChunkBatches, judge: ChunkBatches, con
 
         def piece(before: Artifact | None, rng: np.random.Generator, first: int = first, last: int = last) -> Bundle:
             begun = new_state(network) if before is None else before["state.safetensors"]
-            with torch.random.fork_rng(devices=[]):
-                state, losses = train(network, loss_of, begun, first, last, schedule)
+            with torch.random.fork_rng(devices=[]), Ahead(batches.at, last) as ahead:
+                state, losses = train(network, partial(loss_of, ahead=ahead), begun, first, last, schedule)
             fill(network, part(state, AVERAGE), "The average")
             told = {"step": last, "losses": losses, "l1": heldout_l1(network, judge, config.sft, device)}
             return {"state.safetensors": state, "told.json": told}

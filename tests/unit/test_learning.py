@@ -48,7 +48,7 @@ def test_under_the_reference_every_ratio_is_one_and_starts_that_tell_nothing_are
     played.joints[2:] = np.nan  # whoever looks at the trials of start 2 gets no number
     lessons = lessons_of(name, played, about_, network)
     for step in range(5):
-        assert torch.isfinite(lessons.loss(network, about_, step, CPU))
+        assert torch.isfinite(lessons.loss(network, about_, lessons.at(step, about_), CPU))
     assert all(abs(told["chosen"]) < 1e-5 and abs(told["rejected"]) < 1e-5 for told in lessons.told)
 
 
@@ -71,7 +71,7 @@ def test_learning_by_decisions_makes_the_better_trial_likelier_and_keeps_the_wor
     lessons = lessons_of(name, played, about_, network, batch=24)
     assert catalog.load("preferences", name, Preference).region
     steps = Schedule(60, 1e-4, 5, 0.9)
-    train(network, lambda step: lessons.loss(network, about_, step, CPU), new_state(network), 0, 60, steps)
+    train(network, lambda step: lessons.loss(network, about_, lessons.at(step, about_), CPU), new_state(network), 0, 60, steps)
     last = {name: float(np.mean([told[name] for told in lessons.told[-10:]])) for name in ("chosen", "rejected")}
     assert last["chosen"] > 0.05 > -0.05 > last["rejected"]
     assert last["rejected"] > -2.0, "beyond its region nothing pushes it any further"
