@@ -45,12 +45,14 @@ def recorded(tmp_path_factory: pytest.TempPathFactory, rendering: None) -> Path:
     return out
 
 
+def known_of(recorded: Path) -> list[str]:
+    """What lies beside the recordings, as settings."""
+    beside = {"camera.file": "cameras.json", "render.scene": "scene.json", "masks.truth": "truth.masks.npz"}
+    return [f"{name}={recorded}.{end}" for name, end in beside.items()]
+
+
 def settings(recorded: Path, runs: Path, *more: str) -> DictConfig:
-    beside = [
-        f"camera.file={recorded}.cameras.json",
-        f"render.scene={recorded}.scene.json",
-        f"masks.truth={recorded}.truth.masks.npz",
-    ]
+    beside = known_of(recorded)
     return config.compose(
         ["robot=pan_tilt", f"data={recorded}", f"runs={runs}", "seed=1", "report.of=dream", *beside, *SMALL, *more]
     )
@@ -96,11 +98,7 @@ def test_conditions_are_episodes_that_foxglove_opens_with_the_object_before_blac
 
 def test_a_training_that_is_killed_goes_on_and_gives_the_same_weights(made, recorded: Path, tmp_path: Path) -> None:
     runs = tmp_path / "runs"
-    words = [
-        f"camera.file={recorded}.cameras.json",
-        f"render.scene={recorded}.scene.json",
-        f"masks.truth={recorded}.truth.masks.npz",
-    ]
+    words = known_of(recorded)
     command = [sys.executable, "-c", "from edream.cli import main; main()", "dream", "--json", "robot=pan_tilt", f"data={recorded}"]
     command += [f"runs={runs}", "seed=1", *words, *SMALL]
     killed = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True, env=os.environ)
@@ -183,11 +181,7 @@ def test_a_checkpoint_from_elsewhere_is_one_sentence_and_exit_code_2(
     good = weights.read_bytes()
     torch.save({"w": torch.zeros(3)}, tmp_path / "pickled")
     bad = {"pickled": (tmp_path / "pickled").read_bytes(), "damaged": good[: len(good) // 2]}
-    beside = [
-        f"camera.file={recorded}.cameras.json",
-        f"render.scene={recorded}.scene.json",
-        f"masks.truth={recorded}.truth.masks.npz",
-    ]
+    beside = known_of(recorded)
     words = ["robot=pan_tilt", f"data={recorded}", f"runs={made[0].runs}", "seed=1", *beside, *SMALL]
     words += ["dream.codec.kind=kl_vae", f"dream.codec.weights={folder}"]
 
@@ -368,11 +362,7 @@ def test_stable_video_diffusions_own_weights_are_trained_on_and_scored_from_a_lo
     words = [f"dream.codec.weights={svd_folder}/vae", f"dream.denoiser.weights={svd_folder}/unet"]
     runs = str(made[0].runs)
     base = [word for word in SMALL if not word.startswith(("dream", "score"))]
-    beside = [
-        f"camera.file={recorded}.cameras.json",
-        f"render.scene={recorded}.scene.json",
-        f"masks.truth={recorded}.truth.masks.npz",
-    ]
+    beside = known_of(recorded)
     cfg = config.compose(["robot=pan_tilt", f"data={recorded}", f"runs={runs}", "seed=1", *beside, *base, *PRETRAINED, *words])
     codec, score = pipeline.make("codec", cfg), pipeline.make("score", cfg)
     latents = codec["latents/000000.safetensors"]
@@ -388,11 +378,7 @@ def _words(cfg: DictConfig) -> list[str]:
 
 @pytest.mark.slow
 def test_two_processes_of_torchrun_go_from_conditions_to_a_page(made, recorded: Path) -> None:
-    words = [
-        f"camera.file={recorded}.cameras.json",
-        f"render.scene={recorded}.scene.json",
-        f"masks.truth={recorded}.truth.masks.npz",
-    ]
+    words = known_of(recorded)
     command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node=2", "--no-python", sys.executable]
     command += ["-c", "from edream.cli import main; main()", "dream", "--json", "robot=pan_tilt", f"data={recorded}"]
     command += [

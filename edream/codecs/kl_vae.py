@@ -8,10 +8,11 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from edream.core.errors import EdreamError, unknown_name
+from edream.core.errors import EdreamError, require, unknown_name
 from edream.learn.checkpoint import fill, read_weights
 from edream.learn.codec import Codec, FittedCodec
 
+MOST = 1_000_000_000  # weights; that of Stable Video Diffusion has 98 million
 NEW = {"widths": (32, 64, 64), "latent": 4, "scale": None}
 
 
@@ -98,6 +99,15 @@ class KlVae(Codec):
         return losses
 
 
+def _bound(settings: Mapping[str, Any]) -> None:
+    """Refuse numbers that would keep diffusers building for ever."""
+    for name, value in settings.items():
+        several = value if isinstance(value, list) else [value]
+        most = 32 if name == "layers_per_block" else 65536
+        if len(several) > 64 or any(isinstance(one, int) and abs(one) > most for one in several):
+            raise EdreamError(f"{name} is {str(value)[:60]}; expected at most {most}")
+
+
 def _loaded(folder: Path, plain: Any, looking_around: Any) -> Autoencoder:
     import json
 
@@ -105,12 +115,18 @@ def _loaded(folder: Path, plain: Any, looking_around: Any) -> Autoencoder:
     if not config.is_file():
         raise EdreamError(f"There is no VAE at {folder}; expected diffusers' config.json and diffusion_pytorch_model.safetensors.")
     try:
-        settings = json.loads(config.read_text())
+        settings = json.loads(config.read_bytes())
         temporal = settings["_class_name"] == looking_around.__name__
-        network = (looking_around if temporal else plain).from_config(settings)
+        kind = looking_around if temporal else plain
+        _bound(settings)
+        with torch.device("meta"):  # takes no memory
+            size = sum(parameter.numel() for parameter in kind.from_config(settings).parameters())
+        require(size <= MOST, "its number of weights", size, f"{MOST} at most")
+        network = kind.from_config(settings)
         scale = float(settings.get("scaling_factor", 0.18215))
-    except (ValueError, TypeError, KeyError) as error:
-        raise EdreamError(f"{config} is no VAE's config: {' '.join(str(error).split())}.") from error
+        require(0.0 < scale < float("inf"), "scaling_factor", scale, "a number above 0")
+    except Exception as error:  # diffusers builds what the file says, and fails in as many ways
+        raise EdreamError(f"{config} is no VAE's config: {' '.join(str(error).split())[:300]}.") from error
     fill(network, read_weights(file), str(file))
     factor = 2 ** (len(network.config.block_out_channels) - 1)
     return Autoencoder(network, factor, network.config.latent_channels, scale, temporal)

@@ -111,7 +111,7 @@ def from_json(value: Any, where: str) -> dict[str, Camera]:
         try:
             matrix, pose = np.array(one["intrinsics"], float), np.array(one["extrinsics"], float)
             found[str(name)] = Camera(int(one["height"]), int(one["width"]), matrix, pose)
-        except (KeyError, TypeError, ValueError) as error:
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise EdreamError(
                 f"{where}: camera {name!r} is unreadable ({type(error).__name__}: {error}); expected height, width, "
                 "intrinsics (3 x 3) and extrinsics (4 x 4)."

@@ -31,7 +31,7 @@ class SceneObject:
     def __post_init__(self) -> None:
         if self.shape not in SIZES:
             raise unknown_name("shape", self.shape, SIZES)
-        if len(self.size) != SIZES[self.shape] or min(self.size) <= 0:
+        if len(self.size) != SIZES[self.shape] or not all(0.0 < size < np.inf for size in self.size):
             raise EdreamError(f"Object {self.name!r}: a {self.shape} needs {SIZES[self.shape]} sizes above 0 m, not {self.size}.")
 
     @property
@@ -98,7 +98,7 @@ def scene_from_json(value: Any, where: str) -> Scene:
             str(recording): {str(name): _track(one) for name, one in inside.items()}
             for recording, inside in value["tracks"].items()
         }
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise EdreamError(
             f"{where} is no scene ({type(error).__name__}: {error}); expected objects (name, shape, size, colour) and "
             "tracks {recording: {object: {times, poses}}}."
@@ -113,6 +113,7 @@ def scene_from_json(value: Any, where: str) -> Scene:
 
 def _track(one: Any) -> ObjectTrack:
     times, poses = np.array(one["times"], float), np.array(one["poses"], float)
-    if poses.shape != (len(times), 7) or not len(times) or not np.isfinite(poses).all() or (np.diff(times) <= 0).any():
+    finite = np.isfinite(poses).all() and np.isfinite(times).all()
+    if times.ndim != 1 or poses.shape != (len(times), 7) or not len(times) or not finite or (np.diff(times) <= 0).any():
         raise ValueError("a track needs rising times and as many poses of 7 finite numbers")
     return ObjectTrack(times, poses)

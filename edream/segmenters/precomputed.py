@@ -9,7 +9,7 @@ import numpy as np
 
 from edream.core.errors import EdreamError
 from edream.core.segmenter import Footage, Masks, Segmenter
-from edream.vision.mask_file import read_masks
+from edream.ingest.mask_file import read_masks
 
 
 class Precomputed(Segmenter):

@@ -11,6 +11,7 @@ from edream.core.camera import Camera, as_json, from_json
 from edream.core.episode import Episode
 from edream.core.errors import EdreamError, unknown_name
 from edream.core.stage import Artifact, Bundle, Source, Stage, Work
+from edream.ingest.border import read_text
 from edream.ingest.stored import stored_episodes
 from edream.sim.robot import RobotModel
 from edream.vision.frames import chosen_camera
@@ -104,7 +105,7 @@ def _found(
     if source == "file":
         if options.file is None:
             raise EdreamError("camera.source=file needs camera.file=PATH, a JSON file of cameras.")
-        cameras = _read(options.file)
+        cameras = read_cameras(options.file)
         if name not in cameras:
             raise unknown_name(f"camera in {options.file}", name, cameras)
         camera = cameras[name]
@@ -117,11 +118,16 @@ def _found(
     return fit_to_silhouettes(robot, episodes, name, chosen, options.frames, options.evaluations, seed)
 
 
-def _read(path: Path) -> dict[str, Camera]:
+def read_cameras(path: Path) -> dict[str, Camera]:
+    """Cameras by name, from JSON.
+
+    Raises:
+        EdreamError: the file is missing, is no JSON, or a camera in it cannot be read.
+    """
     if not path.is_file():
         raise EdreamError(f"There is no camera file at {path}; expected JSON as {CAMERAS} of 'edream calibrate camera'.")
     try:
-        return from_json(json.loads(path.read_text()), str(path))
+        return from_json(json.loads(read_text(path)), str(path))
     except (ValueError, RecursionError) as error:
         raise EdreamError(f"{path} is no JSON: {error}.") from error
 

@@ -14,10 +14,10 @@ from edream.core.errors import EdreamError, unknown_name
 from edream.core.segmenter import Footage, Segmenter
 from edream.core.stage import Artifact, Bundle, Source, Stage, Work
 from edream.ingest.layered import images_of, layer, layered_bundle, layered_episodes, layered_shard
+from edream.ingest.mask_file import read_arrays
 from edream.ingest.stored import stored_episodes
 from edream.ingest.video import decode_image, encode_image
 from edream.vision.frames import frames_at, resized
-from edream.vision.mask_file import read_arrays
 from edream.vision.plate import plate_of
 from edream.vision.views import plate_file, view_of
 

@@ -17,7 +17,6 @@ from scipy.spatial.transform import Rotation
 from edream.core.camera import Camera, looking_at
 from edream.core.episode import Episode
 from edream.core.errors import EdreamError, unknown_name
-from edream.ingest.border import read_text
 from edream.sim.camera import SimulationCamera
 from edream.sim.meshes import lightened
 from edream.sim.robot import RobotModel
@@ -66,9 +65,8 @@ def read_marks(path: Path) -> list[Mark]:
     """
     if not path.is_file():
         raise EdreamError(f"There is no file of marked points at {path}; expected CSV with the columns {', '.join(COLUMNS)}.")
-    text = read_text(path)
     try:
-        rows = csv.DictReader(io.StringIO(text, newline=""))
+        rows = csv.DictReader(io.StringIO(path.read_text(encoding="utf-8-sig"), newline=""))
         return [Mark(r["episode"], _finite(r["time"]), r["point"], _finite(r["u"]), _finite(r["v"]), r.get("camera")) for r in rows]
     except (KeyError, TypeError, ValueError, csv.Error) as error:
         raise EdreamError(

@@ -18,6 +18,6 @@ def read_scene(path: Path | None) -> Scene:
     if not path.is_file():
         raise EdreamError(f"There is no scene at {path}; expected JSON with objects and tracks.")
     try:
-        return scene_from_json(json.loads(path.read_text()), str(path))
-    except (json.JSONDecodeError, RecursionError) as error:
+        return scene_from_json(json.loads(path.read_bytes()), str(path))
+    except (ValueError, RecursionError) as error:
         raise EdreamError(f"{path} is no JSON: {error}.") from error

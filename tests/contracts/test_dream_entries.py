@@ -287,7 +287,7 @@ def _packed(counts: list[int]) -> str:
 
 def test_run_lengths_of_coco_tools_are_understood(tmp_path: Path) -> None:
     """`pycocotools.mask.encode` writes a 9 x 9 mask with rows 2 to 4, columns 3 to 7 as this text."""
-    from edream.vision.mask_file import read_masks
+    from edream.ingest.mask_file import read_masks
 
     mask = np.zeros((9, 9), bool)
     mask[2:5, 3:8] = True
@@ -314,7 +314,7 @@ def test_run_lengths_of_coco_tools_are_understood(tmp_path: Path) -> None:
     ],
 )
 def test_damaged_run_lengths_are_a_sentence(text: str, tmp_path: Path) -> None:
-    from edream.vision.mask_file import read_masks
+    from edream.ingest.mask_file import read_masks
 
     (tmp_path / "one.json").write_text(text)
     with pytest.raises(EdreamError, match="cannot be read"):
@@ -325,7 +325,7 @@ def test_mask_arrays_are_bounded_before_memory_is_taken(tmp_path: Path) -> None:
     import io
     import zipfile
 
-    from edream.vision.mask_file import read_arrays, read_masks
+    from edream.ingest.mask_file import read_arrays, read_masks
 
     header = io.BytesIO()
     np.lib.format.write_array_header_1_0(header, {"descr": "|u1", "fortran_order": False, "shape": (10**6, 10**5, 10**5)})

@@ -3,6 +3,7 @@
 import json
 import math
 import zipfile
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,18 @@ from edream.ingest.border import MAX_PIXELS, one_line, read_text
 from edream.ingest.video import image_size
 
 MAX_BYTES = 2**31
-BROKEN = (ValueError, KeyError, TypeError, OSError, IndexError, RecursionError, OverflowError, zipfile.BadZipFile, EOFError)
+BROKEN = (
+    ValueError,
+    KeyError,
+    TypeError,
+    OSError,
+    IndexError,
+    RecursionError,
+    OverflowError,
+    zipfile.BadZipFile,
+    zlib.error,
+    EOFError,
+)
 
 
 def read_masks(folder: Path, name: str) -> list[np.ndarray]:
