@@ -16,6 +16,14 @@ from tests.fuzz_files import FILES, make_files
 from tests.rendering import camera_on
 
 
+def test_masks_are_the_same_from_every_kind_of_file(tmp_path: Path) -> None:
+    path = make_files("masks", tmp_path)
+    found = {name: np.stack(read_masks(path, name)) for name in ("packed", "plain", "pictures", "lengths")}
+    assert found["packed"][:, 2:5, 3:8].all() and found["packed"].sum() == 3 * 15
+    assert np.array_equal(found["packed"], found["plain"]) and np.array_equal(found["packed"], found["pictures"])
+    assert np.array_equal(found["packed"][0], found["lengths"][2]) and not found["lengths"][1].any()
+
+
 @pytest.mark.parametrize("name", FILES)
 def test_a_broken_file_is_read_or_refused_in_a_sentence(name: str, tmp_path: Path) -> None:
     sample = make_files(name, tmp_path)
