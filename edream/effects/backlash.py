@@ -1,15 +1,22 @@
 """A gear with play."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import mujoco
 import numpy as np
 
-from edream.core.effect import Effect, Fields, Values
+from edream.core.effect import Effect, Fields, State, Values
 from edream.core.parameters import Parameter
-from edream.sim.rotor import GEAR_SUFFIX, add_rotor, open_gear
+from edream.sim.rotor import GEAR_SUFFIX, add_rotor, behind, open_gear, write_bearing
 
 SMALLEST = 1e-6  # rad; less is no play
+
+
+def backlash_feedback(state: State, index: dict[str, int], values: dict[str, Any]) -> None:
+    """The servo follows the encoder behind a gear with play, by a share, rather than its motor."""
+    twist = state.qpos[:, index["drive_qpos"]] - state.qpos[:, index["qpos"]]
+    state.torque[:, index["drive"]] += values["feedback"] * state.gain[:, index["actuator"]] * twist
 
 
 class Backlash(Effect):
@@ -18,20 +25,24 @@ class Backlash(Effect):
         |motor - link| <= b
 
     The wait is a fixed angle, whatever the torque, the gain and the speed, and gravity hides it. Native: a rotor `<joint>_motor`
-    and a fixed tendon with a `range`. Where `compliance` acts on the same joint, the gap is in its spring. Parameter: play b,
-    half of the gap [rad]. Source: Nordin, Gutman, Automatica 38(10), 2002.
+    and a fixed tendon with a `range`. Where `compliance` acts on the same joint, the gap is in its spring. A servo whose encoder
+    sits behind the gear follows the link, which MJCF has no word for: a hook puts kp times the twist on the rotor. Parameters:
+    play b, half of the gap [rad], feedback [1]: 0 where the servo follows its motor, 1 where it follows the link, bearing: dry
+    friction of the link itself [N m], which keeps it from swinging in the gap. Source: Nordin, Gutman, Automatica 38(10), 2002.
     """
 
     name = "backlash"
     summary = "play in the gear (backlash)"
     place = "joint"
     confusable = ("coulomb", "dead_zone", "presliding", "compliance")
+    hook = staticmethod(backlash_feedback)
 
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
-        return (Parameter("play", "rad", 0.0, 0.1, 0.0, absent=0.0),)
+        return (Parameter("play", "rad", 0.0, 0.1, 0.0, absent=0.0), *behind(model, targets))
 
     def probes(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[dict[str, float], ...]:
-        return ({"play": 0.003}, {"play": 0.01})
+        bearing = self.parameters(model, targets)[2].start
+        return tuple({"play": play, "feedback": side, "bearing": bearing} for side in (0.0, 1.0) for play in (0.003, 0.008, 0.018))
 
     def edit(self, spec: mujoco.MjSpec, target: str) -> None:
         tendon = add_rotor(spec, target)
@@ -49,6 +60,7 @@ class Backlash(Effect):
         else:
             fields["tendon_range"][:, tendon] = edges + [-SMALLEST, SMALLEST]
         open_gear(fields, target, values["play"] > SMALLEST)
+        write_bearing(fields, target, values["bearing"], values["play"] > SMALLEST)
 
 
 ENTRY = Backlash()

@@ -1,15 +1,23 @@
 """A gear that gives."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import mujoco
 import numpy as np
 
-from edream.core.effect import Effect, Fields, Values, joint_index
+from edream.core.effect import Effect, Fields, State, Values, joint_index
 from edream.core.parameters import Parameter
-from edream.sim.rotor import GEAR_SUFFIX, add_rotor, gear_limit, open_gear
+from edream.sim.rotor import GEAR_SUFFIX, add_rotor, behind, gear_limit, open_gear, write_bearing
 
 RELAXATION = 0.002  # s, damping over stiffness
+
+
+def compliance_feedback(state: State, index: dict[str, int], values: dict[str, Any]) -> None:
+    """The servo follows, by a share, the encoder behind a shaft that gives; by no more than the shaft holds."""
+    gain = np.minimum(state.gain[:, index["actuator"]], 0.9 / np.maximum(values["give"], 1e-9))
+    twist = state.qpos[:, index["drive_qpos"]] - state.qpos[:, index["qpos"]]
+    state.torque[:, index["drive"]] += values["feedback"] * gain * twist
 
 
 class Compliance(Effect):
@@ -18,24 +26,33 @@ class Compliance(Effect):
         tau = K (motor - link) + D (d motor - d link),  K = 1 / c
 
     The link rings after stops and sags under load; what is measured is the link. Native: a rotor `<joint>_motor` and a fixed tendon
-    with `stiffness`. Below the give that this time step can carry, the gear is locked. Damping D = K times 2 ms.
-    Parameter: give c [rad/(N m)]. Source: Spong, J. of Dynamic Systems, Measurement and Control 109, 1987.
+    with `stiffness`. Below the give that this time step can carry, the gear is locked. Damping D = K times 2 ms. A servo whose
+    encoder sits behind the gear follows the link, which MJCF has no word for: a hook puts kp times the twist on the rotor. It
+    shakes without end where kp > K (Routh), so the hook stays below that. Parameters: give c [rad/(N m)], feedback [1]: 0 where
+    the servo follows its motor, 1 where it follows the link, bearing: dry friction of the link itself [N m]. Source: Spong, J.
+    of Dynamic Systems, Measurement and Control 109, 1987.
     """
 
     name = "compliance"
     summary = "a compliant gear"
     place = "joint"
     confusable = ("servo_gain", "backlash", "payload")
+    hook = staticmethod(compliance_feedback)
 
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
         actuator = joint_index(model, targets[0])["actuator"]
         kp = -float(model.actuator_biasprm[actuator, 1])
-        return (Parameter("give", "rad/(N m)", 0.0, max(2.0 / kp, 20.0 / gear_limit(model, targets[0])), 0.0, absent=0.0),)
+        give = Parameter("give", "rad/(N m)", 0.0, max(2.0 / kp, 20.0 / gear_limit(model, targets[0])), 0.0, absent=0.0)
+        return (give, *behind(model, targets))
 
     def probes(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[dict[str, float], ...]:
-        high = self.parameters(model, targets)[0].high
+        give, _, bearing = self.parameters(model, targets)
         soft = 2.0 / min(gear_limit(model, target) for target in targets)
-        return tuple({"give": min(high, factor * soft)} for factor in (1.0, 3.0))
+        return tuple(
+            {"give": min(give.high, factor * soft), "feedback": side, "bearing": bearing.start}
+            for side in (0.0, 1.0)
+            for factor in (1.0, 3.0)
+        )
 
     def edit(self, spec: mujoco.MjSpec, target: str) -> None:
         tendon = add_rotor(spec, target)
@@ -49,6 +66,7 @@ class Compliance(Effect):
         fields["tendon_stiffness"][:, tendon] = np.where(is_open, stiffness, 0.0)
         fields["tendon_damping"][:, tendon] = np.where(is_open, RELAXATION * stiffness, 0.0)
         open_gear(fields, target, is_open)
+        write_bearing(fields, target, values["bearing"], is_open)
 
 
 ENTRY = Compliance()

@@ -19,6 +19,8 @@ from edream.reality.plant import Moment, Plant, Term
 
 SEARCHES = 8
 
+BEARINGS = 0.25  # of the dry friction of a joint whose shaft gives or has play is on the link's side
+
 
 @dataclass(frozen=True, eq=False)
 class Track:
@@ -141,6 +143,11 @@ class _Machine:
             up, down = term.dry(up, down, now)
         upper, lower = np.zeros_like(y), np.zeros_like(y)
         upper[:, self.motor], lower[:, self.motor] = h * up, h * down
+        if len(self.soft):  # the bearings behind a shaft rub, too
+            bearing = h * BEARINGS * plant.frictionloss[self.soft]
+            for limit in (upper, lower):
+                limit[:, self.motor[self.soft]] -= bearing
+                limit[:, self.soft] += bearing
         goal = (matrix @ u[..., None])[..., 0] + h * force
         after, side, impulse = slide(matrix, goal, upper, lower, side)
         load = motor_force - (impulse[:, self.motor] + (plant.armature + implicit) * (after - u)[:, self.motor]) / h

@@ -1,15 +1,21 @@
 """A motor of its own behind a joint: where a gear's give and play go."""
 
+from collections.abc import Sequence
+
 import mujoco
 import numpy as np
 
 from edream.core.effect import MOTOR_SUFFIX, Fields
+from edream.core.parameters import Parameter
+from edream.sim.friction import hold_still
+from edream.sim.scales import largest
 from edream.sim.servo import servo
 
 GEAR_SUFFIX = "_gear"
 LINK_SHARE = 0.1  # of the armature stays on the link (output shaft), so that light links keep a stable gear
 STABLE = 0.3  # of reduced inertia / step^2: the stiffest spring that explicit integration carries
 RIGID = 0.9999
+BEARINGS = 0.05  # of a large torque: what the bearings behind a gear may hold where nothing is known of them yet
 BARE = 0.02  # of the inertia at a joint: what a rotor is taken to have where the model gives the joint no armature
 
 
@@ -39,6 +45,7 @@ def add_rotor(spec: mujoco.MjSpec, joint: str) -> mujoco.MjsTendon:
     rotor.damping, link.damping = link.damping, np.zeros(3)
     rotor.frictionloss, link.frictionloss = link.frictionloss, 0.0
     rotor.solref_friction, rotor.solimp_friction = link.solref_friction, link.solimp_friction
+    hold_still(spec, joint)
     servo(spec, joint).target = motor
     for key in list(spec.keys):
         spec.delete(key)
@@ -60,6 +67,17 @@ def drive_joint(spec: mujoco.MjSpec, joint: str) -> str:
 def open_gear(fields: Fields, joint: str, is_open: np.ndarray) -> None:
     """Unlock the gear in those simulations where `is_open`, (N,)."""
     fields["eq_active0"][is_open, fields.model.equality(joint + GEAR_SUFFIX).id] = 0
+
+
+def behind(model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
+    """What else is unknown where a gear is open: whose position the servo follows, and how the bearings behind the gear rub."""
+    high = largest(model, targets)
+    return (Parameter("feedback", "1", 0.0, 1.0, 0.0), Parameter("bearing", "N m", 0.0, high, BEARINGS * high))
+
+
+def write_bearing(fields: Fields, joint: str, torque: np.ndarray, is_open: np.ndarray) -> None:
+    """Dry friction of the link itself [N m], (N,), in those simulations whose gear is open."""
+    fields["dof_frictionloss"][:, int(fields.model.joint(joint).dofadr[0])] = np.where(is_open, torque, 0.0)
 
 
 def gear_limit(model: mujoco.MjModel, joint: str) -> float:
