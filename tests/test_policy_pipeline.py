@@ -1,6 +1,7 @@
 """From demonstrations to a report of how often a policy succeeds, end to end, at the smallest size."""
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -124,20 +125,42 @@ def test_a_second_run_makes_nothing_anew_and_gc_keeps_every_round(made) -> None:
     assert store.find("rl", pipeline.make("rl", settings_of(cfg, 1)).key) is not None
 
 
-def test_a_training_that_is_killed_goes_on_and_gives_the_same_weights(made, recorded: Path, tmp_path: Path) -> None:
-    runs = tmp_path / "runs"
-    program = "import sys; from edream import config, pipeline; pipeline.make('sft', config.compose(sys.argv[1:]))"
-    command = [sys.executable, "-c", program, *words(recorded, runs)]
+@pytest.mark.parametrize("stage", ["sft", "rl rl.rounds=1"])
+def test_a_training_that_is_killed_goes_on_and_gives_the_same_weights(made, recorded: Path, tmp_path: Path, stage: str) -> None:
+    name, *changes = stage.split(" ")
+    runs = without(made, tmp_path / "runs", name, "evaluate", "report")
+    program = f"import sys; from edream import config, pipeline; pipeline.make({name!r}, config.compose(sys.argv[1:]))"
+    command = [sys.executable, "-c", program, *words(recorded, runs, *changes)]
     killed = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True, env=os.environ)
     until = time.monotonic() + 100
-    while not list((runs / "sft").glob(".work-*/train-0000000/000000/manifest.json")) and time.monotonic() < until:
+    while not list((runs / name).glob(".work-*/train-0000000/000000/manifest.json")) and time.monotonic() < until:
         assert killed.poll() is None or killed.returncode == 0, killed.stderr and killed.stderr.read()
         time.sleep(0.005)
     os.killpg(killed.pid, signal.SIGKILL)
     killed.wait()
-    assert not list((runs / "sft").glob("*/manifest.json")), "it was killed in the middle of its training"
-    weights, whole = pipeline.make("sft", settings(recorded, runs))["policy.safetensors"], made[1]["sft"]["policy.safetensors"]
-    assert weights.keys() == whole.keys() and all(np.array_equal(weights[name], whole[name]) for name in whole)
+    assert not list((runs / name).glob("*/manifest.json")), "it was killed in the middle of its training"
+    whole = pipeline.make(name, settings_of(made[0], 1) if changes else made[0])
+    weights = pipeline.make(name, settings(recorded, runs, *changes))
+    assert weights.key == whole.key and weights["policy.safetensors"].keys() == whole["policy.safetensors"].keys()
+    assert all(
+        np.array_equal(weights["policy.safetensors"][one], whole["policy.safetensors"][one])
+        for one in weights["policy.safetensors"]
+    )
+
+
+def without(made, runs: Path, *stages: str) -> Path:
+    """A copy of the store in which some stages were never made."""
+    shutil.copytree(made[0].runs, runs, ignore=lambda folder, names: stages if Path(folder) == Path(made[0].runs) else ())
+    return runs
+
+
+def test_evaluation_with_four_workers_gives_the_numbers_of_one(made, recorded: Path, tmp_path: Path) -> None:
+    runs = without(made, tmp_path / "runs", "evaluate", "report")
+    many = pipeline.make("evaluate", settings(recorded, runs, "rl.rounds=2", "executor.workers=4", "evaluate.shard=1"))
+    one = made[1]["evaluate"]
+    assert len(many["outcomes.parquet"]) == 4 and many["outcomes.parquet"].equals(one["outcomes.parquet"])
+    films = [name for name in one if name.endswith(".png")]
+    assert films and all(many[name] == one[name] for name in films)
 
 
 def test_a_bundle_does_what_the_policy_does(made, tmp_path: Path) -> None:

@@ -33,7 +33,7 @@ class Shake:
 
 def shaken(images: UInt8[np.ndarray, "B V H W 3"], shake: Shake, rng: np.random.Generator) -> UInt8[np.ndarray, "B V H W 3"]:
     """Changed images; numbers are drawn in a fixed order, so the same generator gives the same bytes."""
-    count = len(images)
+    count, _, _, width, _ = images.shape
     gain = 1.0 + shake.contrast * rng.standard_normal((count, 1, 1, 1, 1), np.float32)
     tint = 1.0 + shake.colour * rng.standard_normal((count, 1, 1, 1, 3), np.float32)
     offset = 255.0 * shake.brightness * rng.standard_normal((count, 1, 1, 1, 1), np.float32)
@@ -41,10 +41,10 @@ def shaken(images: UInt8[np.ndarray, "B V H W 3"], shake: Shake, rng: np.random.
     values = np.empty(images.shape, np.float32)
     for i, (down, right) in enumerate(moves.tolist()):
         values[i] = _shifted(images[i], down, right)
-    rows = values.reshape(count, -1, values.shape[-2] * 3)  # long rows, in place: NumPy is slow on three numbers at a time
+    rows = values.reshape(count, -1, width * 3)  # long rows, in place: NumPy is slow on three numbers at a time
     rows -= 128.0
     rows *= gain[:, 0, :, 0]
-    rows *= np.tile(tint[:, 0, 0], (1, 1, values.shape[-2]))
+    rows *= np.tile(tint[:, 0, 0], (1, 1, width))
     rows += 128.0
     rows += offset[:, 0, :, 0]
     if shake.noise:

@@ -15,7 +15,7 @@ from edream.ingest.episode_file import write_episode
 from edream.ingest.episode_read import read_episode
 from edream.learn.determinism import deterministic
 from edream.learn.policy import Policy, PolicyShape, Scale, Seen, log_likelihood, masked_l1
-from edream.learn.training import Schedule, new_state, train
+from edream.learn.training import Ahead, Schedule, new_state, train
 from edream.practice.collecting import Manner, Player, Shard, collected, outcomes_of, split
 from edream.practice.demonstrations import ChunkBatches, chunk_of
 from edream.practice.film import episode_of, film_of, moving_picture
@@ -144,6 +144,20 @@ def test_training_in_pieces_gives_the_same_bytes() -> None:
     _, pieces, second = trained(demos, about_, 12, 6, half)
     assert losses == first + second
     assert all(np.array_equal(whole[name], pieces[name]) for name in whole)
+
+
+def test_what_is_made_ahead_is_what_the_step_would_have_made() -> None:
+    made: list[int] = []
+
+    def batch(step: int) -> np.ndarray:
+        made.append(step)
+        return np.random.default_rng(step).standard_normal(3)
+
+    with Ahead(batch, 7) as ahead:
+        found = [ahead.at(step) for step in (3, 4, 5, 6)]
+        assert made == [3, 4, 5, 6], "each once, in order, none beyond the last"
+        assert np.array_equal(ahead.at(2), batch(2)), "a step out of order is made anew"
+    assert all(np.array_equal(one, np.random.default_rng(step).standard_normal(3)) for step, one in enumerate(found, 3))
 
 
 def test_chance_alone_makes_trials_of_one_start_differ() -> None:

@@ -98,6 +98,19 @@ def test_conditions_tell_robot_and_things_apart(rendering: None) -> None:
     assert shown.composite[shown.object == 255].mean() > 100  # the cup is pale
 
 
+def test_a_cutout_is_what_the_conditions_show_in_half_the_renderings(rendering: None) -> None:
+    world = SimulatedWorkcell(robot(), task(), images=Images(("cam_high", "cam_side"), 64, 64, raw=False))
+    world.reset(3)
+    rng = np.random.default_rng(0)
+    for _ in range(5):
+        world.step(rng.uniform(world.low, world.high))
+        shown = world.conditions()
+        for name, (colour, share) in world.cutouts().items():
+            assert np.array_equal(colour, shown[name].composite)
+            assert np.array_equal(share, np.maximum(shown[name].robot, shown[name].object)) and 0.02 < (share > 0).mean() < 0.9
+    world.close()
+
+
 def test_where_a_cup_is_seen_is_where_the_camera_says(rendering: None) -> None:
     camera = pinhole(96, 96, 0.7, looking_at(np.array([0.9, -0.2, 0.5]), np.array([0.3, 0.0, 0.05])))
     images = Images(("cam_high",), 96, 96, placed={"cam_high": camera}, raw=False)
