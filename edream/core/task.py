@@ -203,7 +203,7 @@ def pinched(pairs: Int[np.ndarray, "C 2"], finger: Int[np.ndarray, "G"], thing: 
     met: dict[str, set[int]] = {}
     sides = finger[pairs]
     for number, side in zip(*np.nonzero(sides >= 0), strict=True):  # most contacts are no finger's
-        name = thing[pairs[number, 1 - side]]
+        name = thing[int(pairs[number, 1 - side])]
         if name is not None:
             met.setdefault(name, set()).add(int(sides[number, side]))
     return frozenset(name for name, fingers in met.items() if any(f % 2 == 0 and f + 1 in fingers for f in fingers))
