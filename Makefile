@@ -82,7 +82,7 @@ bench-dream: .venv/ready
 	$(RUN)/python -m benchmarks.bench_dream
 
 test: .venv/ready
-	$(RUN)/python -m pytest -m "not slow" -q
+	$(RUN)/python -m pytest -m "not slow" -q --durations=20 --durations-min=5
 
 slow: .venv/ready
 	$(RUN)/python -m pytest -m slow -q
