@@ -15,7 +15,7 @@ from edream.core.errors import EdreamError
 from edream.ingest.border import MAX_PIXELS, one_line, read_text
 from edream.ingest.video import image_size
 
-MAX_BYTES = 2**31
+MAX_BYTES = 2**32  # of one file
 BROKEN = (
     ValueError,
     KeyError,
@@ -50,12 +50,12 @@ def read_masks(folder: Path, name: str) -> list[np.ndarray]:
 
 
 def read_arrays(path: Path) -> dict[str, np.ndarray]:
-    """The arrays (T, H, W) of an .npz file, by name; what they declare is checked before memory is taken.
+    """The arrays (T, H, W) of an .npz file, by name; what they declare together is checked before memory is taken.
 
     Raises:
         EdreamError: it is no .npz of such arrays, or too large.
     """
-    found = {}
+    found, taken = {}, 0
     try:
         with zipfile.ZipFile(path) as archive:
             for member in archive.infolist():
@@ -63,8 +63,11 @@ def read_arrays(path: Path) -> dict[str, np.ndarray]:
                     version = np.lib.format.read_magic(file)
                     read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
                     shape, _, kind = read(file)
-                if len(shape) != 3 or kind.hasobject or math.prod(shape) * kind.itemsize > MAX_BYTES:
-                    raise ValueError(f"{member.filename} is {kind} of shape {shape}; expected numbers (T, H, W) of 2 GiB at most")
+                taken += math.prod(shape) * kind.itemsize
+                if len(shape) != 3 or kind.hasobject or taken > MAX_BYTES:
+                    raise ValueError(
+                        f"{member.filename} is {kind} of shape {shape}; expected numbers (T, H, W), {MAX_BYTES} bytes in all"
+                    )
                 with archive.open(member) as file:
                     found[member.filename.removesuffix(".npy")] = np.lib.format.read_array(file, allow_pickle=False)
     except (*BROKEN, RuntimeError, NotImplementedError) as error:

@@ -9,6 +9,7 @@ import pytest
 from edream.core.camera import as_json, from_json
 from edream.core.errors import EdreamError
 from edream.core.scene import scene_from_json
+from edream.ingest import mask_file
 from edream.ingest.mask_file import read_masks
 from edream.vision.scene_file import read_scene
 from tests.fuzz import one
@@ -22,6 +23,15 @@ def test_masks_are_the_same_from_every_kind_of_file(tmp_path: Path) -> None:
     assert found["packed"][:, 2:5, 3:8].all() and found["packed"].sum() == 3 * 15
     assert np.array_equal(found["packed"], found["plain"]) and np.array_equal(found["packed"], found["pictures"])
     assert np.array_equal(found["packed"][0], found["lengths"][2]) and not found["lengths"][1].any()
+
+
+def test_many_small_arrays_are_bounded_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    part = np.zeros((2, 8, 8), np.uint8)
+    np.savez(tmp_path / "one.npz", part0=part, part1=part, part2=part, part3=part)
+    assert len(mask_file.read_arrays(tmp_path / "one.npz")) == 4
+    monkeypatch.setattr(mask_file, "MAX_BYTES", 3 * 128)
+    with pytest.raises(EdreamError, match=r"part3\.npy is uint8 of shape"):
+        mask_file.read_arrays(tmp_path / "one.npz")
 
 
 @pytest.mark.parametrize("name", FILES)
