@@ -1,22 +1,15 @@
 """A gear with play."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import mujoco
 import numpy as np
 
-from edream.core.effect import Effect, Fields, State, Values
+from edream.core.effect import Effect, Fields, Values
 from edream.core.parameters import Parameter
-from edream.sim.rotor import GEAR_SUFFIX, add_rotor, behind, open_gear, write_bearing
+from edream.sim.rotor import GEAR_SUFFIX, add_rotor, behind, gear_feedback, open_gear, write_bearing
 
 SMALLEST = 1e-6  # rad; less is no play
-
-
-def backlash_feedback(state: State, index: dict[str, int], values: dict[str, Any]) -> None:
-    """The servo follows the encoder behind a gear with play, by a share, rather than its motor."""
-    twist = state.qpos[:, index["drive_qpos"]] - state.qpos[:, index["qpos"]]
-    state.torque[:, index["drive"]] += values["feedback"] * state.gain[:, index["actuator"]] * twist
 
 
 class Backlash(Effect):
@@ -35,7 +28,7 @@ class Backlash(Effect):
     summary = "play in the gear (backlash)"
     place = "joint"
     confusable = ("coulomb", "dead_zone", "presliding", "compliance")
-    hook = staticmethod(backlash_feedback)
+    hook = staticmethod(gear_feedback)
 
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
         return (Parameter("play", "rad", 0.0, 0.1, 0.0, absent=0.0), *behind(model, targets))

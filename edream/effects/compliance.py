@@ -1,23 +1,15 @@
 """A gear that gives."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import mujoco
 import numpy as np
 
-from edream.core.effect import Effect, Fields, State, Values, joint_index
+from edream.core.effect import Effect, Fields, Values, joint_index
 from edream.core.parameters import Parameter
-from edream.sim.rotor import GEAR_SUFFIX, add_rotor, behind, gear_limit, open_gear, write_bearing
+from edream.sim.rotor import GEAR_SUFFIX, add_rotor, behind, gear_feedback, gear_limit, open_gear, write_bearing
 
 RELAXATION = 0.002  # s, damping over stiffness
-
-
-def compliance_feedback(state: State, index: dict[str, int], values: dict[str, Any]) -> None:
-    """The servo follows, by a share, the encoder behind a shaft that gives; by no more than the shaft holds."""
-    gain = np.minimum(state.gain[:, index["actuator"]], 0.9 / np.maximum(values["give"], 1e-9))
-    twist = state.qpos[:, index["drive_qpos"]] - state.qpos[:, index["qpos"]]
-    state.torque[:, index["drive"]] += values["feedback"] * gain * twist
 
 
 class Compliance(Effect):
@@ -37,7 +29,7 @@ class Compliance(Effect):
     summary = "a compliant gear"
     place = "joint"
     confusable = ("servo_gain", "backlash", "payload")
-    hook = staticmethod(compliance_feedback)
+    hook = staticmethod(gear_feedback)
 
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
         actuator = joint_index(model, targets[0])["actuator"]

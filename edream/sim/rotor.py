@@ -1,11 +1,12 @@
 """A motor of its own behind a joint: where a gear's give and play go."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import mujoco
 import numpy as np
 
-from edream.core.effect import MOTOR_SUFFIX, Fields
+from edream.core.effect import MOTOR_SUFFIX, Fields, State
 from edream.core.parameters import Parameter
 from edream.sim.friction import hold_still
 from edream.sim.scales import largest
@@ -67,6 +68,13 @@ def drive_joint(spec: mujoco.MjSpec, joint: str) -> str:
 def open_gear(fields: Fields, joint: str, is_open: np.ndarray) -> None:
     """Unlock the gear in those simulations where `is_open`, (N,)."""
     fields["eq_active0"][is_open, fields.model.equality(joint + GEAR_SUFFIX).id] = 0
+
+
+def gear_feedback(state: State, index: dict[str, int], values: dict[str, Any]) -> None:
+    """The servo follows, by a share, the encoder behind its gear; by no more than a shaft that gives can hold."""
+    gain = np.minimum(state.gain[:, index["actuator"]], 0.9 / np.maximum(values.get("give", 0.0), 1e-9))
+    twist = state.qpos[:, index["drive_qpos"]] - state.qpos[:, index["qpos"]]
+    state.torque[:, index["drive"]] += values["feedback"] * gain * twist
 
 
 def behind(model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
