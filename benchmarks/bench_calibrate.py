@@ -21,7 +21,7 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -34,13 +34,14 @@ from edream.calibration.split import split_motions
 from edream.calibration.surrogate import Surrogate
 from edream.calibration.sweeping import from_tables
 from edream.core.episode import Episode
+from edream.core.stage import Work
 from edream.ingest.mapping import MappingConfig
 from edream.ingest.recordings import ingest_recordings
 from edream.record import RecordConfig, record
 from edream.sim.objective import Objective, rms
 from edream.sim.rollout import whole
 from edream.stages.fit import with_surrogate
-from edream.stages.sweep import SweepSettings, sweep
+from edream.stages.sweep import SweepSettings, sweep, windows_of
 
 FINISHED = "gauss_newton, finished"
 METHODS = ("gauss_newton", FINISHED, "surrogate", "annealing", "cmaes", "mujoco.sysid")
@@ -64,7 +65,7 @@ class Memory:
     def seed(self, name: str) -> int:
         return sum(name.encode())
 
-    def shards(self, name: str, items: Iterable[Any], function: Callable[..., Any], parallel: bool = True) -> list[Any]:
+    def shards(self, name: str, items: Iterable[Any], function: Callable[..., Any], parallel: object = True) -> list[Any]:
         return [function(item, np.random.default_rng(0)) for item in items]
 
 
@@ -124,9 +125,9 @@ def solve(method: str, problem: Problem, case: Case) -> tuple[np.ndarray, float]
     length = float(np.mean([window.times[-1] for window in problem.objective.windows]))
     extra = 0.0
     if entry.needs_surrogate:
-        settings = SweepSettings()
+        settings, work = SweepSettings(), cast(Work, Memory())
         counted = problem.joints if problem.joints is not None else np.ones(len(problem.objective.simulated.robot.joints), bool)
-        swept = from_tables(sweep(problem.objective.simulated, case.train, counted, settings, Memory()))  # type: ignore[arg-type]
+        swept = from_tables(sweep(problem.objective.simulated, windows_of(case.train, settings, work), counted, settings, work))
         learned = catalog.load("surrogates", "mlp", Surrogate).fit(swept, {}, 0)
         problem = with_surrogate(problem, swept, learned, {}, case.train)
         extra = len(swept) * settings.seconds

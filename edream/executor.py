@@ -14,13 +14,19 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from itertools import islice
-from typing import Any
+from typing import Any, ClassVar
 
 from edream.core.errors import EdreamError, unknown_name
 
 
 class Executor(ABC):
-    """A place to run tasks."""
+    """A place to run tasks.
+
+    Attributes:
+        elsewhere: whether it reaches beyond this machine.
+    """
+
+    elsewhere: ClassVar[bool] = False
 
     @abstractmethod
     def run(self, task: Callable[[Any], None], jobs: Sequence[Any]) -> Iterator[int]:
@@ -78,6 +84,7 @@ class Ray(Executor):
         retries: how often a task is begun again where a machine or process died under it.
     """
 
+    elsewhere: ClassVar[bool] = True
     address: str | None = None
     workers: int = 0
     retries: int = 5

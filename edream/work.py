@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -39,12 +39,12 @@ class StageWork(Work):
         name: str,
         items: Iterable[Any],
         function: Callable[[Any, np.random.Generator], Bundle],
-        parallel: bool = True,
+        parallel: bool | Literal["elsewhere"] = True,
     ) -> Sequence[Artifact]:
         folder = self._root / name
         manifest = {"stage": self._stage, "key": self._key}
         task = partial(_shard, folder=folder, manifest=manifest, sequence=self._sequence(name), function=function)
-        if parallel:
+        if self._executor.elsewhere if parallel == "elsewhere" else parallel:
             jobs = list(enumerate(items))
             count = len(jobs)
             missing = [job for job in jobs if not self._found(folder, job[0])]

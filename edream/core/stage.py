@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 
@@ -71,7 +71,7 @@ class Work(ABC):
         name: str,
         items: Iterable[Any],
         function: Callable[[Any, np.random.Generator], Bundle],
-        parallel: bool = True,
+        parallel: bool | Literal["elsewhere"] = True,
     ) -> Sequence[Artifact]:
         """`function(item, rng)` for each item, each result kept on disk as soon as it is there.
 
@@ -82,7 +82,8 @@ class Work(ABC):
             name: unique within the stage.
             items: what to work on; may be a generator where `parallel` is False.
             function: a function of a module (not a closure, unless `parallel` is False), so that other processes find it.
-            parallel: use the processes of the executor; False runs one after the other in this process.
+            parallel: use the processes of the executor; False runs one after the other in this process. "elsewhere" uses other
+                machines where the executor has some, and this process alone where not: for work that takes all cores by itself.
 
         Returns:
             The shards in the order of the items, read when asked for.

@@ -5,7 +5,7 @@ it; later rounds draw their sets around those, where the surrogate has to be rig
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -21,7 +21,8 @@ from edream.calibration.windows import draw_windows, join, measured_sequences, s
 from edream.core.episode import Episode
 from edream.core.errors import require
 from edream.core.stage import Artifact, Bundle, Source, Stage, Work
-from edream.ingest.stored import stored_episodes
+from edream.ingest.episode_read import read_episode
+from edream.ingest.stored import stored_episodes, stored_index
 from edream.sim.rollout import Window
 from edream.sim.simulation import SimulatedRobot
 
@@ -65,21 +66,35 @@ class SweepConfig:
 
 
 def run(inputs: Mapping[str, Artifact], config: SweepConfig, work: Work) -> Bundle:
-    """Simulate block by block, each kept on disk as soon as it is done."""
-    episodes, _ = split_motions(list(stored_episodes(inputs["ingest"])), config.fit, config.seed)
+    """Simulate block by block, each kept on disk as soon as it is done; of all motions only the clocks are held at once."""
+    ingested = inputs["ingest"]
+    motions, _ = split_motions([outline(episode) for episode in stored_episodes(ingested)], config.fit, config.seed)
     simulated = simulated_robot(config.robot.load(), config.fit)
     space_of(simulated)
-    return sweep(simulated, episodes, scored(simulated.robot, config.fit), config.sweep, work)
+    windows = windows_of(motions, config.sweep, work)
+    files = {row.name: row.file for row in stored_index(ingested)}
+    wanted = {w.episode.name for w in windows}
+    read = {name: read_episode(ingested.path(f"episodes/{files[name]}")) for name in files if name in wanted}
+    windows = [replace(w, episode=read[w.episode.name]) for w in windows]
+    return sweep(simulated, windows, scored(simulated.robot, config.fit), config.sweep, work)
 
 
-def sweep(
-    simulated: SimulatedRobot, episodes: Sequence[Episode], counted: np.ndarray, options: SweepSettings, work: Work
-) -> Bundle:
+def outline(episode: Episode) -> Episode:
+    """A motion of the same clock in which nothing moves, so that nothing but its clock takes memory: enough to choose stretches."""
+    still = {name: np.broadcast_to(0.0, getattr(episode, name).shape) for name in ("position", "command")}
+    bare = {"velocity": None, "effort": None, "enabled": None, "videos": {}, "signals": {}}
+    return replace(episode, **still, **bare)
+
+
+def windows_of(episodes: Sequence[Episode], options: SweepSettings, work: Work) -> list[Window]:
+    """The stretches that are simulated; they follow from the motions' clocks alone."""
+    rows = rows_in(episodes, options.seconds, most=40)
+    return draw_windows(episodes, rows, options.windows, np.random.default_rng(work.seed("windows")))
+
+
+def sweep(simulated: SimulatedRobot, windows: Sequence[Window], counted: np.ndarray, options: SweepSettings, work: Work) -> Bundle:
     """Round after round, closer around what comes near the recordings."""
     space = simulated.space
-    windows = draw_windows(
-        episodes, rows_in(episodes, options.seconds, most=40), options.windows, np.random.default_rng(work.seed("windows"))
-    )
     dealt = [list(range(b, len(windows), options.blocks)) for b in range(options.blocks)]
     dealt = [numbers for numbers in dealt if numbers]
     unit = qmc.Sobol(len(space), rng=np.random.default_rng(work.seed("sobol"))).random(options.sets)
@@ -91,7 +106,7 @@ def sweep(
             )
         sets = np.array_split(np.arange(len(unit)), len(dealt))
         items = [(unit[s], [windows[i] for i in w], total + s, w) for s, w in zip(sets, dealt, strict=True)]
-        shards = work.shards(f"round {round_number}", items, partial(block, simulated=simulated), parallel=False)
+        shards = work.shards(f"round {round_number}", items, partial(block, simulated=simulated), parallel="elsewhere")
         made = [from_tables(shard) for shard in shards]
         for one in made:
             nearness = np.concatenate([nearness, distances(simulated, one, windows, counted)])
@@ -125,7 +140,7 @@ def block(item: Any, rng: np.random.Generator, simulated: SimulatedRobot) -> Bun
     return to_tables(made, simulated.space.names, simulated.robot.joints, simulated.space.from_unit(made.unit))
 
 
-def distances(simulated: SimulatedRobot, made: Any, windows: list[Window], counted: np.ndarray) -> np.ndarray:
+def distances(simulated: SimulatedRobot, made: Any, windows: Sequence[Window], counted: np.ndarray) -> np.ndarray:
     """Each set of a block with the ratio of its error to the median set's, on the same windows, as the last column."""
     numbers = np.unique(made.which[:, 1])
     truth = {int(i): measured_sequences(simulated, [windows[i]]).position[0] for i in numbers}
