@@ -81,7 +81,7 @@ class Work(ABC):
         Args:
             name: unique within the stage.
             items: what to work on; may be a generator where `parallel` is False.
-            function: a function of a module (not a closure, unless `parallel` is False), so that other processes find it.
+            function: a function of a module (a closure where `parallel` is not True), so that other processes find it.
             parallel: use the processes of the executor; False runs one after the other in this process. "elsewhere" uses other
                 machines where the executor has some, and this process alone where not: for work that takes all cores by itself.
 

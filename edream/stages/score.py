@@ -13,6 +13,7 @@ from edream.core.stage import Artifact, Bundle, Source, Stage, Work
 from edream.ingest.layered import layered_images
 from edream.ingest.video import encode_image
 from edream.learn.determinism import deterministic
+from edream.learn.device import device_of
 from edream.vision.clips import STORED, Scenes, starts
 from edream.vision.dreamer import DreamModel
 from edream.vision.grain import Grain
@@ -103,21 +104,22 @@ def run(inputs: Mapping[str, Artifact], config: ScoreConfig, work: Work) -> Bund
     )
     named = tuple(dict.fromkeys(("psnr", *asked.metrics))) if asked.metrics else ()  # the sentence needs it
     metrics = ready_metrics(named, _weights(asked))
-    clips: dict[str, Clips] = {}
-    table: list[dict[str, Any]] = []
+    rows = dict(_rows(bench, config.render.model == "none"))
 
-    def measured(row: Row, rng: np.random.Generator) -> Bundle:
-        made, first = row[1](), bench.given if AFTER in row[0] else 0
+    def measured(label: str, rng: np.random.Generator) -> Bundle:
+        with deterministic():
+            made = rows[label]()
+        first = bench.given if AFTER in label else 0
         parts = {name: mask[:, first:] for name, mask in where.items()}
         found = scores(made[:, first:], real[:, first:], parts, metrics)
         found |= {"silhouette_iou": {"robot": silhouette_iou(made, scenes, picked, where)}}
         return {"found.json": found, "made.safetensors": {"made": made}}
 
+    spread = device_of(options.device, "dream.device").type == "cpu"  # a network on a GPU cannot be sent to machines without one
+    kept = work.shards("rows", list(rows), measured, parallel="elsewhere" if spread else False)
+    clips = {label: one["made.safetensors"]["made"] for label, one in zip(rows, kept, strict=True)}
+    table: list[dict[str, Any]] = [{"label": label, **one["found.json"]} for label, one in zip(rows, kept, strict=True)]
     with deterministic():
-        for label, make in _rows(bench, config.render.model == "none"):
-            kept = work.shards(label.replace(" ", "_"), [(label, make)], measured, parallel=False)[0]
-            clips[label] = kept["made.safetensors"]["made"]
-            table.append({"label": label, **kept["found.json"]})
         longest = _long(models[DREAM], scenes, options, sources[0], config.seed, asked.long)
     table.append({"label": "real", "silhouette_iou": {"robot": silhouette_iou(real, scenes, picked, where)}})
     main, bases = _main_rows(bench, config.render.model == "none")

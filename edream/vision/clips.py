@@ -3,6 +3,7 @@
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -48,9 +49,34 @@ class Scenes:
             references.append(images["reference"][0])
         return cls(tuple(names), tuple(layers), tuple(references), tuple(name in held for name in names))
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Sent to another process, which may be on a machine that shares the folder: the files go by name."""
+        named = tuple({layer: _sent(images) for layer, images in one.items()} for one in self.layers)
+        return _received, (self.names, named, self.references, self.held)
+
     def lengths(self) -> list[int]:
         """Images of each episode."""
         return [len(one["real"]) for one in self.layers]
+
+
+def _sent(images: np.ndarray) -> Path | np.ndarray:
+    if not isinstance(images, np.memmap) or images.filename is None:
+        return images
+    images.flush()
+    return Path(images.filename)
+
+
+def _received(
+    names: tuple[str, ...],
+    layers: tuple[dict[str, Path | np.ndarray], ...],
+    references: tuple[np.ndarray, ...],
+    held: tuple[bool, ...],
+) -> Scenes:
+    opened = tuple(
+        {name: np.load(one, mmap_mode="r", allow_pickle=False) if isinstance(one, Path) else one for name, one in kept.items()}
+        for kept in layers
+    )
+    return Scenes(names, opened, references, held)
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,7 +18,12 @@ import small_stages
 from edream import pipeline
 from edream.core.errors import EdreamError
 from edream.executor import Ray, create
+from edream.reality.look import Look
+from edream.record import RecordConfig, record
+from edream.stages import render
 from edream.store import Store
+from tests.rendering import pan_tilt
+from tests.test_dream_pipeline import settings as dream_settings
 
 ROOT = Path(__file__).parents[2]
 SHARDS = 60
@@ -112,3 +117,23 @@ def test_a_calibration_on_a_cluster_has_the_digests_of_one_machine(tmp_path) -> 
         ask("calibrate", *SIMULATED, *words, f"data={tmp_path}/rec", f"runs={runs}", "fit.search.descent_steps=5")
         found.append({one.stage: one.digest for one in Store(runs).artifacts()})
     assert found[0] == found[1]
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_rendering_and_dreamed_video_on_a_cluster_have_the_digests_of_one_machine(
+    cluster, rendering, tmp_path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked, own = [], Ray.run
+    monkeypatch.setattr(Ray, "run", lambda self, task, jobs: (asked.append(len(jobs)), own(self, task, jobs))[1])
+    monkeypatch.setattr(render, "MANY", 1)  # images from which on it takes more than one process
+    look = RecordConfig(tmp_path / "rec", motions=5, seconds=1.6, rate=10.0, video=True, look=Look(48, 48))
+    record(pan_tilt(), look, seed=2)
+    near = ("executor.workers=1", "dream.baseline=false", "dream.ablation=false", "score.metrics=[psnr,ssim]")
+    far = (*near[1:], "executor=ray", f"executor.address={cluster.address}")
+    digests = []
+    for place, words in (("here", near), ("far", far)):
+        cfg = dream_settings(tmp_path / "rec", tmp_path / place, *words)
+        digests.append([pipeline.make(stage, cfg).digest for stage in ("render", "score")])
+    assert len(asked) == 2 and min(asked) >= 5, "five episodes are rendered there, and every kind of video is made there"
+    assert digests[0] == digests[1]
