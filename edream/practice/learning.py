@@ -18,9 +18,9 @@ from edream.practice.about import PolicyAbout
 from edream.practice.shaking import Shake, shaken
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class RlOptions:
-    """One round of learning; see `conf/rl/default.yaml` for each.
+    """One round of learning; see `conf/rl/default.yaml` for each, and for the values.
 
     Attributes:
         rounds: how often trials are played, ranked and learned from.
@@ -38,16 +38,16 @@ class RlOptions:
         shake: how images are shaken.
     """
 
-    rounds: int = 2
+    rounds: int
     train: Schedule = field(default_factory=Schedule)
     objective: PreferenceOptions = field(default_factory=PreferenceOptions)
     likelihood: str = "laplace"
     batch: int | None = None
-    demonstrations: float = 1.0
-    successes: float = 1.0
+    demonstrations: float
+    successes: float
     slack: float = 0.5
-    checkpoint: int = 100
-    held: int = 40
+    checkpoint: int
+    held: int
     first: int = 20000
     shake: Shake = field(default_factory=Shake)
 

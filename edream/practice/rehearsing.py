@@ -42,13 +42,13 @@ class RolloutOptions:
 
     model: Literal["fit", "diagnose", "published"] = "fit"
     eyes: Literal["raw", "composite", "dreamed", "state"] = "raw"
-    starts: int = 60
+    starts: int = 300
     first: int = 10000
-    samples: int = 4
+    samples: int = 3
     draws: int = 4
     grip: float = 0.2
     noise: Chance = field(default_factory=Chance)
-    shard: int = 12
+    shard: int = 30
     supersampling: int = 1
     plate: Path | None = None
 

@@ -44,7 +44,7 @@ class ScoreOptions:
     """What is measured; see `conf/score/default.yaml` for each."""
 
     clips: int = 32
-    steps: tuple[int, ...] = (2, 4)
+    steps: tuple[int, ...] = (4,)
     metrics: tuple[str, ...] = ()
     weights: Mapping[str, Path | None] = field(default_factory=dict)
     grain: bool = True

@@ -28,7 +28,7 @@ class DreamOptions:
     overlap: int = 4
     onward: bool = False
     objects: bool = True
-    sources: Mapping[str, float] = field(default_factory=lambda: {"real": 0.5, "sim": 0.25, "crop": 0.25})
+    sources: Mapping[str, float] = field(default_factory=lambda: {"real": 0.34, "sim": 0.33, "crop": 0.33})
     jitter: Jitter = field(default_factory=Jitter)
     baseline: bool = True
     ablation: bool = True

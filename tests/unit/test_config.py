@@ -1,12 +1,12 @@
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping
+from dataclasses import MISSING, dataclass, field, fields, is_dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import pytest
 from omegaconf import OmegaConf
 
-from edream import config
+from edream import config, pipeline
 from edream.core.errors import EdreamError
 from edream.record import RecordConfig
 from edream.stages.fit import FitConfig
@@ -139,3 +139,22 @@ def test_settings_with_names_of_ones_own_can_be_given_on_the_command_line() -> N
     assert dict(cfg.fit.fixed) == {"servo_gain.kp": 18}
     assert dict(cfg.surrogate.options) == {"hidden": 16}
     assert dict(cfg.ingest.mapping.units) == {"elbow": "deg"}
+
+
+def differing(settings: Any, place: str) -> Iterator[str]:
+    """Numbers, words and switches whose default in code is not what conf/ says."""
+    for one in fields(settings):
+        value, where = getattr(settings, one.name), f"{place}.{one.name}" if place else one.name
+        default = one.default_factory() if one.default_factory is not MISSING else one.default
+        if is_dataclass(value):
+            yield from differing(value, where)
+        elif default not in (MISSING, None, (), {}) and default != value:
+            yield where
+
+
+@pytest.mark.parametrize("stage", ["condition", "dream", "evaluate", "masks", "rank", "render", "rl", "rollouts", "score", "sweep"])
+def test_a_default_in_code_is_the_one_in_conf(stage: str) -> None:
+    cfg = config.compose(["robot=arm6_working", "task=grab_paper_cup", "data=recordings"])
+    shared = (".train.", "rollouts.noise.")  # one schedule serves several trainings, and zeros mean that nothing is left to chance
+    found = differing(config.read(cfg, pipeline.stage(stage).config), "")
+    assert [where for where in found if not any(part in where for part in shared)] == []

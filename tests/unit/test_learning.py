@@ -37,7 +37,8 @@ def lessons_of(name: str, played: Played, about_, network, batch: int = 8) -> Le
     outcomes = [{"trial": i, "start": s, "sample": i, "success": g, "distance": 0.2} for i, (s, g) in enumerate(rows)]
     order, pairs = ranked(pa.Table.from_pylist(outcomes), RankOptions(margin=1.0))
     reference = reference_of(network, played, about_, CPU)
-    return Lessons(name, replace(RlOptions(), batch=batch, shake=CALM), played, reference, order, pairs, 3)
+    options = RlOptions(rounds=1, demonstrations=1.0, successes=1.0, checkpoint=100, held=40, batch=batch, shake=CALM)
+    return Lessons(name, options, played, reference, order, pairs, 3)
 
 
 @pytest.mark.parametrize("name", catalog.names("preferences"))
