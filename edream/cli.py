@@ -110,15 +110,7 @@ def dream(overrides: Overrides = None, conf: Conf = None, json: Json = False) ->
     Examples: `edream dream robot.mjcf=robot.xml data=recordings/ camera.file=cameras.json seed=3`,
     `torchrun --nproc-per-node 2 --no-python edream dream dream=full robot.mjcf=robot.xml data=recordings/`
     """
-    from edream import pipeline
-    from edream.vision.together import joined
-
-    words = [*(overrides or []), "report.of=dream"]
-    with joined() as rank:
-        if rank:
-            pipeline.follow("dream", _compose(words, conf))
-        else:
-            run("dream", ("score", "report"), words, conf, json)
+    _together("dream", "dream", ("score", "report"), [*(overrides or []), "report.of=dream"], conf, json)
 
 
 @_command("evaluate")
@@ -126,9 +118,12 @@ def train_policy(overrides: Overrides = None, conf: Conf = None, json: Json = Fa
     """Train a policy on demonstrations, let it learn from its own trials in the calibrated simulator, and say how often it
     succeeds in the stand-in reality.
 
-    Example: `edream train-policy robot=arm6 task=grab_paper_cup data=demonstrations/ seed=3`
+    Under torchrun several processes train on the demonstrations together; the first one does everything else.
+
+    Examples: `edream train-policy robot=arm6 task=grab_paper_cup data=demonstrations/ seed=3`,
+    `torchrun --nproc-per-node 2 --no-python edream train-policy robot=arm6 task=grab_paper_cup data=demonstrations/`
     """
-    run("train-policy", ("evaluate", "report"), [*(overrides or []), "report.of=evaluate"], conf, json)
+    _together("train-policy", "sft", ("evaluate", "report"), [*(overrides or []), "report.of=evaluate"], conf, json)
 
 
 @_command("evaluate")
@@ -329,6 +324,18 @@ def run(command: str, stages: tuple[str, ...], overrides: list[str] | None, conf
     with _stdout_for_json(json) as write:
         made, path = pipeline.make_run(command, stages, cfg)
         cli_show.result(made, path, write if json else None)
+
+
+def _together(command: str, shared: str, stages: tuple[str, ...], words: list[str], conf: Path | None, json: bool) -> None:
+    """The same where torchrun started several processes: all but the first help it to train one stage, and end with it."""
+    from edream import pipeline
+    from edream.vision.together import joined
+
+    with joined() as rank:
+        if rank:
+            pipeline.follow(shared, _compose(words, conf))
+        else:
+            run(command, stages, words, conf, json)
 
 
 def _compose(overrides: list[str] | None, conf: Path | None) -> Any:

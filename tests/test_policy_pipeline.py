@@ -1,5 +1,6 @@
 """From demonstrations to a report of how often a policy succeeds, end to end, at the smallest size."""
 
+import json
 import os
 import shutil
 import signal
@@ -179,3 +180,19 @@ def test_without_a_sealed_truth_the_way_to_a_robot_is_told(recorded: Path, tmp_p
     cfg = settings(recorded, tmp_path / "runs", f"evaluate.truth={tmp_path / 'none.json'}", "evaluate.of=[sft]")
     with pytest.raises(EdreamError, match="export-policy"):
         pipeline.make("evaluate", cfg)
+
+
+@pytest.mark.slow
+def test_two_processes_of_torchrun_train_one_policy_and_one_of_them_does_the_rest(made, recorded: Path) -> None:
+    asked = words(
+        recorded, Path(str(made[0].runs)), "rl.rounds=1", 'evaluate.of=[sft,"sft sft.twins=false",rl]', "evaluate.films=0"
+    )
+    command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node=2", "--no-python", sys.executable]
+    command += ["-c", "from edream.cli import main; main()", "train-policy", "--json", *asked]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=280, env=os.environ | {"OMP_NUM_THREADS": "1"})
+    assert done.returncode == 0, done.stderr[-2000:]
+    told = json.loads(done.stdout)
+    assert Path(told["report"]).is_file() and len(told["rates"]) == 3
+    store = pipeline.open_store(made[0])
+    trained = [one["summary.json"]["weights_digest"] for one in store.artifacts() if one.stage == "sft"]
+    assert len(set(trained)) == len(trained) == 3, "by one process with twins, by two with twins, by one without"

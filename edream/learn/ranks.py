@@ -6,7 +6,7 @@ killed goes on at its last piece, however many processes there were.
 
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from datetime import timedelta
 
 import numpy as np
@@ -19,7 +19,7 @@ from edream.core.errors import EdreamError
 LONG = timedelta(days=7)  # the others wait while the first one ingests, calibrates, renders
 STOP = -1
 Order = tuple[int, int, int]
-"""Number of the variant, first and last step."""
+"""Number of what is trained, first and last step."""
 
 
 def rank() -> int:
@@ -49,9 +49,10 @@ def joined() -> Iterator[int]:
         yield dist.get_rank()
         if dist.get_rank() == 0:
             _say((STOP, 0, 0))
-    except EdreamError:  # told by `main`; the others are waiting for an order
+    except EdreamError:  # told by `main`; the others wait for an order, or met the same mistake and are gone
         if dist.get_rank() == 0:
-            _say((STOP, 0, 0))
+            with suppress(RuntimeError):
+                _say((STOP, 0, 0))
         raise
     finally:
         dist.destroy_process_group()
@@ -64,14 +65,31 @@ def lead(order: Order, state: dict[str, np.ndarray]) -> None:
         _spread(state)
 
 
-def orders() -> Iterator[Order]:
-    """What the first process says, until it is done."""
+def led(order: Order, state: dict[str, np.ndarray]) -> bool:
+    """Ask the others to train a piece along, and tell them what it begins with; False where one of them has not this number, or
+    there are none: this process trains it alone."""
+    if not _joined():
+        return False
+    _say(order)
+    if not _agreed(True):
+        return False
+    _spread(state)
+    return True
+
+
+def orders(own: int | None = None) -> Iterator[Order]:
+    """What the first process says, until it is done.
+
+    Args:
+        own: the only number that this process trains along, where the first one asks (`led`).
+    """
     while True:
         told = torch.zeros(3, dtype=torch.int64)
         dist.broadcast(told, 0)
         if int(told[0]) == STOP:
             return
-        yield int(told[0]), int(told[1]), int(told[2])
+        if own is None or _agreed(int(told[0]) == own):
+            yield int(told[0]), int(told[1]), int(told[2])
 
 
 def followed(state: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -95,6 +113,12 @@ def mean(value: Tensor) -> float:
 
 def _joined() -> bool:
     return dist.is_available() and dist.is_initialized()
+
+
+def _agreed(own: bool) -> bool:
+    votes = torch.tensor(int(own))
+    dist.all_reduce(votes, dist.ReduceOp.MIN)
+    return bool(votes)
 
 
 def _say(order: Order) -> None:

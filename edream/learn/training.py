@@ -107,16 +107,18 @@ def train(
     first: int,
     last: int,
     schedule: Schedule,
+    together: bool = False,
 ) -> tuple[State, list[float]]:
     """Train from step `first` up to, not including, `last`.
 
-    Whatever is random in a step follows from the step's number alone, so a run that was cut into pieces gives the same bytes. Where
-    several processes train together (`edream.learn.ranks`), `loss_of` is to call the network through `ranks.as_one`.
+    Whatever is random in a step follows from the step's number alone, so a run that was cut into pieces gives the same bytes.
 
     Args:
         network: takes the state's weights and is trained in place.
         loss_of: loss of a step.
         state: as `new_state` or the last call gave it.
+        together: whether the other processes (`edream.learn.ranks`), if there are any, train the same steps; `loss_of` is to call
+            the network through `ranks.as_one` then.
 
     Returns:
         The new state, and the loss of each step.
@@ -143,7 +145,7 @@ def train(
         loss.backward()
         torch.nn.utils.clip_grad_norm_(network.parameters(), schedule.clip, foreach=False)
         adam.step()
-        losses.append(ranks.mean(loss.detach()))
+        losses.append(ranks.mean(loss.detach()) if together else float(loss.detach()))
         if not math.isfinite(losses[-1]):
             raise EdreamError(
                 f"The loss is not finite after {step + 1} training steps; lower dream.train.rate ({schedule.rate:g})."

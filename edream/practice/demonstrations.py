@@ -143,6 +143,7 @@ class ChunkBatches:
     Attributes:
         demonstrations: what is drawn from.
         about: the policy's scales and its chunk.
+        part: which part of a batch is this process' own, and how many there are; each part has chances of its own.
     """
 
     demonstrations: Sequence[Demonstration]
@@ -150,6 +151,7 @@ class ChunkBatches:
     batch: int
     seed: int
     shake: Shake | None = None
+    part: tuple[int, int] = (0, 1)
 
     def at(self, step: int) -> tuple[Seen, torch.Tensor, Bool[torch.Tensor, "B H"], torch.Generator]:
         """The batch of a training step: what is seen, the actions (B, H, A), which of them are no padding, and a generator."""
@@ -158,6 +160,9 @@ class ChunkBatches:
         drawn = rng.integers(lengths.sum(), size=self.batch)
         numbers = np.searchsorted(np.cumsum(lengths), drawn, side="right")
         places = [(int(n), int(d - lengths[:n].sum())) for n, d in zip(numbers, drawn, strict=True)]
+        own, parts = self.part
+        if parts > 1:
+            places, rng = places[own::parts], np.random.default_rng((self.seed, 0xD3, step, own))
         seen, actions, valid = self.of(places, rng)
         return seen, actions, valid, torch.Generator().manual_seed(int(rng.integers(2**62)))
 

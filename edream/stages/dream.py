@@ -116,7 +116,7 @@ class Trainer:
             return model.loss(batch.clip, batch.known, batch.chance, batch.latents)
 
         try:
-            return train(network, loss_of, state, first, last, self.options.train)
+            return train(network, loss_of, state, first, last, self.options.train, together=True)
         finally:
             model.denoiser = network
 

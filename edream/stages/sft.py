@@ -1,23 +1,28 @@
 """Sft: a policy learns from demonstrations; the weights that do best on held-out ones are kept."""
 
+import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
+from torch import nn
 
 from edream.calibration.settings import RobotSettings
+from edream.core.errors import EdreamError
 from edream.core.stage import Artifact, Bundle, Source, Stage, Work
 from edream.ingest.stored import stored_episodes
+from edream.learn import ranks
 from edream.learn.checkpoint import fill, weights_digest
 from edream.learn.determinism import deterministic
 from edream.learn.device import device_of
-from edream.learn.policy import FittedPolicy, masked_l1
-from edream.learn.training import AVERAGE, Ahead, new_state, part, train
+from edream.learn.policy import FittedPolicy, Seen, masked_l1
+from edream.learn.training import AVERAGE, Ahead, State, new_state, part, train
 from edream.practice.about import ABOUT, WEIGHTS, PolicyAbout
-from edream.practice.demonstrations import ChunkBatches
+from edream.practice.demonstrations import ChunkBatches, Demonstration
 from edream.practice.options import PolicyOptions, SftOptions
 from edream.practice.sampling import about_of, demonstrations, held_out, with_twins
 
@@ -32,67 +37,130 @@ class SftConfig:
     seed: int
 
 
+class Lesson(nn.Module):
+    """A policy's training loss as a forward pass, which is where the gradients of several processes meet."""
+
+    def __init__(self, network: FittedPolicy) -> None:
+        super().__init__()
+        self.network = network
+
+    def forward(self, seen: Seen, actions: torch.Tensor, valid: torch.Tensor, chance: torch.Generator) -> torch.Tensor:
+        return self.network.loss(seen, actions, valid, chance)
+
+
+@dataclass(frozen=True, eq=False)
+class Trainer:
+    """All that trains the policy; every process that trains along has one.
+
+    Attributes:
+        taught: the demonstrations; `batches` of them and of their twins.
+        judge: the held-out ones, whose names are `held`.
+    """
+
+    config: SftConfig
+    about: PolicyAbout
+    network: FittedPolicy
+    taught: tuple[Demonstration, ...]
+    batches: ChunkBatches
+    judge: ChunkBatches
+    held: tuple[str, ...]
+
+    @classmethod
+    def of(cls, inputs: Mapping[str, Artifact], config: SftConfig, folder: Path) -> "Trainer":
+        """With the demonstrations' images in files of `folder`."""
+        order = config.robot.load().joints
+        made, cameras, rate = demonstrations(list(stored_episodes(inputs["ingest"])), order, config.policy, folder)
+        held = held_out(len(made), config.sft.held, config.seed)
+        taught = [(number, one) for number, one in enumerate(made) if number not in held]
+        about = about_of([one for _, one in taught], order, cameras, rate, config.policy)
+        twins = with_twins(taught, inputs.get("twins"), folder)
+        batches = ChunkBatches(twins, about, config.sft.batch, config.seed, config.sft.shake)
+        judge = ChunkBatches([one for number, one in enumerate(made) if number in held], about, config.sft.batch, config.seed)
+        network = about.network(seed=config.seed).to(device_of(config.policy.device, "policy.device"))
+        names = tuple(sorted(made[number].name for number in held))
+        return cls(config, about, network, tuple(one for _, one in taught), batches, judge, names)
+
+    @property
+    def number(self) -> int:
+        """By which processes know that they train the same."""
+        return zlib.crc32(repr(self.config).encode()) & 0x7FFFFFFF
+
+    def piece(self, state: State, first: int, last: int, together: bool) -> tuple[State, list[float]]:
+        """Steps `first` up to `last`, by all processes where `together`."""
+        device, lesson = next(self.network.parameters()).device, Lesson(self.network)
+        called = ranks.as_one(lesson) if together else lesson
+        own = (ranks.rank(), ranks.world()) if together else (0, 1)
+        batches = replace(self.batches, part=own)
+
+        def loss_of(step: int, ahead: Ahead[Any]) -> torch.Tensor:
+            seen, actions, valid, chance = ahead.at(step)
+            torch.manual_seed(self.config.seed * 1_000_003 + step + (own[0] << 40))  # of dropout
+            return called(seen.to(device), actions.to(device), valid.to(device), chance)
+
+        with torch.random.fork_rng(devices=[]), Ahead(batches.at, last) as ahead:
+            schedule = self.config.sft.train
+            return train(self.network, partial(loss_of, ahead=ahead), state, first, last, schedule, together)
+
+
 def run(inputs: Mapping[str, Artifact], config: SftConfig, work: Work) -> Bundle:
     """Train in pieces that are kept, judge each on the held-out demonstrations, keep the best."""
-    order = config.robot.load().joints
-    episodes = list(stored_episodes(inputs["ingest"]))
-    folder = work.folder("images")
-    made, cameras, rate = demonstrations(episodes, order, config.policy, folder)
-    held = held_out(len(made), config.sft.held, config.seed)
-    taught = [(number, one) for number, one in enumerate(made) if number not in held]
-    about = about_of([one for _, one in taught], order, cameras, rate, config.policy)
-    batches = ChunkBatches(with_twins(taught, inputs.get("twins"), folder), about, config.sft.batch, config.seed, config.sft.shake)
-    judge = ChunkBatches([one for number, one in enumerate(made) if number in held], about, config.sft.batch, config.seed)
+    if config.sft.batch % ranks.world():
+        count = ranks.world()
+        raise EdreamError(
+            f"sft.batch is {config.sft.batch}, which {count} processes cannot share evenly; give a multiple of {count}."
+        )
     with deterministic():
-        pieces = _trained(about, batches, judge, config, work)
+        trainer = Trainer.of(inputs, config, work.folder("images"))
+        pieces = _trained(trainer, work)
     curve = [{"step": one["told.json"]["step"], "l1": one["told.json"]["l1"]} for one in pieces]
     best = min(range(len(pieces)), key=lambda i: (curve[i]["l1"], i))
     weights = {name: value.numpy() for name, value in part(pieces[best]["state.safetensors"], AVERAGE).items()}
-    about = replace(about, spread=max(float(curve[best]["l1"]), 1e-3))
-    steps = sum(len(one) for _, one in taught)
+    about = replace(trainer.about, spread=max(float(curve[best]["l1"]), 1e-3))
+    steps = sum(len(one) for one in trainer.taught)
     size = sum(array.size for array in weights.values())
     summary = {
-        "sentence": f"{config.policy.kind} with {size / 1e6:.2f} M parameters learned from {len(taught)} demonstrations "
-        f"({steps} steps); off by {curve[best]['l1']:.4f} spreads on {len(held)} held-out ones, best after step "
+        "sentence": f"{config.policy.kind} with {size / 1e6:.2f} M parameters learned from {len(trainer.taught)} demonstrations "
+        f"({steps} steps); off by {curve[best]['l1']:.4f} spreads on {len(trainer.held)} held-out ones, best after step "
         f"{curve[best]['step']}.",
         "parameters": size,
-        "demonstrations": len(taught),
-        "heldout": sorted(made[number].name for number in held),
+        "demonstrations": len(trainer.taught),
+        "heldout": list(trainer.held),
         "heldout_l1": curve[best]["l1"],
         "best_step": curve[best]["step"],
-        "cameras": list(cameras),
-        "rate": rate,
+        "cameras": list(about.cameras),
+        "rate": about.rate,
         "weights_digest": weights_digest(weights),
     }
     losses = [loss for one in pieces for loss in one["told.json"]["losses"]]
     return {WEIGHTS: weights, ABOUT: about.plain(), "summary.json": summary, "losses.json": {"train": losses, "heldout": curve}}
 
 
-def _trained(about: PolicyAbout, batches: ChunkBatches, judge: ChunkBatches, config: SftConfig, work: Work) -> Sequence[Artifact]:
+def _trained(trainer: Trainer, work: Work) -> Sequence[Artifact]:
     """Every piece of the training, one after another, each from where the last one ended."""
-    device = device_of(config.policy.device, "policy.device")
-    network = about.network(seed=config.seed).to(device)
-    schedule = config.sft.train
-
-    def loss_of(step: int, ahead: Ahead[Any]) -> torch.Tensor:
-        seen, actions, valid, chance = ahead.at(step)
-        torch.manual_seed(config.seed * 1_000_003 + step)  # of dropout
-        return network.loss(seen.to(device), actions.to(device), valid.to(device), chance)
-
+    options = trainer.config.sft
     pieces: list[Artifact] = []
-    for first in range(0, schedule.steps, config.sft.checkpoint):
-        last = min(first + config.sft.checkpoint, schedule.steps)
+    for first in range(0, options.train.steps, options.checkpoint):
+        last = min(first + options.checkpoint, options.train.steps)
 
         def piece(before: Artifact | None, rng: np.random.Generator, first: int = first, last: int = last) -> Bundle:
-            begun = new_state(network) if before is None else before["state.safetensors"]
-            with torch.random.fork_rng(devices=[]), Ahead(batches.at, last) as ahead:
-                state, losses = train(network, partial(loss_of, ahead=ahead), begun, first, last, schedule)
-            fill(network, part(state, AVERAGE), "The average")
-            told = {"step": last, "losses": losses, "l1": heldout_l1(network, judge, config.sft, device)}
+            begun = dict(new_state(trainer.network) if before is None else before["state.safetensors"])
+            together = ranks.led((trainer.number, first, last), begun)
+            state, losses = trainer.piece(begun, first, last, together)
+            fill(trainer.network, part(state, AVERAGE), "The average")
+            device = next(trainer.network.parameters()).device
+            told = {"step": last, "losses": losses, "l1": heldout_l1(trainer.network, trainer.judge, options, device)}
             return {"state.safetensors": state, "told.json": told}
 
         pieces.append(work.shards(f"train-{first:07d}", [pieces[-1] if pieces else None], piece, parallel=False)[0])
     return pieces
+
+
+def follow(inputs: Mapping[str, Artifact], config: SftConfig, folder: Path) -> None:
+    """Train the pieces of the same training that the first process names, with it."""
+    with deterministic():
+        trainer = Trainer.of(inputs, config, folder)
+        for _, first, last in ranks.orders(trainer.number):
+            trainer.piece(ranks.followed(new_state(trainer.network)), first, last, together=True)
 
 
 @torch.no_grad()
@@ -121,4 +189,4 @@ def sources(config: SftConfig) -> Mapping[str, Source]:
     return found | ({"objects": config.policy.objects} if config.policy.objects else {})
 
 
-ENTRY = Stage("sft", 1, needs, SftConfig, run, sources, ("torch", "numpy"))
+ENTRY = Stage("sft", 1, needs, SftConfig, run, sources, ("torch", "numpy"), follow)

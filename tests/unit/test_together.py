@@ -8,17 +8,23 @@ import numpy as np
 import pytest
 import torch
 
+from edream.calibration.settings import RobotSettings
 from edream.core.errors import EdreamError
 from edream.learn import ranks
 from edream.learn.checkpoint import weights_digest
 from edream.learn.device import device_of
-from edream.learn.training import Schedule
+from edream.learn.training import Schedule, new_state
+from edream.practice.demonstrations import ChunkBatches
+from edream.practice.options import PolicyOptions, SftOptions
 from edream.stages.dream import Trainer
+from edream.stages.sft import SftConfig
+from edream.stages.sft import Trainer as SftTrainer
 from edream.vision.batches import Batches, KeptLatents
 from edream.vision.clips import images as as_tensor
 from edream.vision.dreamer import Part, encoded, new_codec
 from edream.vision.variants import DreamOptions, new_model, variants
 from tests.dreams import small_scenes
+from tests.toy_world import about, demonstrated
 
 TINY = DreamOptions(
     codec=Part("pixel_unshuffle", {"factor": 4}),
@@ -72,6 +78,54 @@ def test_two_processes_train_one_network_and_give_the_same_bytes_each_time(tmp_p
     alone = trainer(tmp_path / "alone", TINY)
     state, _ = alone.piece(alone.begin(0), 0, 4)
     assert weights_digest(state) != one["digests"][0], "chances are each process' own, so the number of processes counts"
+
+
+def sft(batch: int = 8) -> SftTrainer:
+    """The training of a policy on two small demonstrations."""
+    demos = (demonstrated(1), demonstrated(2))
+    known, options = about(list(demos)), SftOptions(Schedule(steps=4, rate=3e-3, average=0.9), batch=batch, checkpoint=2)
+    batches = ChunkBatches(demos, known, batch, 0)
+    config = SftConfig(RobotSettings(Path("robot.xml")), PolicyOptions(), options, 0)
+    return SftTrainer(config, known, known.network(seed=0), demos, batches, batches, ())
+
+
+def _policy_of_two(number: int, folder: Path) -> None:
+    """One process: both train a policy, piece by piece; then the first one alone another, which the second does not have."""
+    torch.set_num_threads(1)
+    torch.distributed.init_process_group("gloo", f"file://{folder}/meet", rank=number, world_size=2)
+    one, other = sft(), sft(batch=4)
+    state, along, alone = new_state(one.network), [], None
+    if number == 0:
+        for first, last in ((0, 2), (2, 4)):
+            along.append(ranks.led((one.number, first, last), state))
+            state, _ = one.piece(state, first, last, along[-1])
+        own = new_state(other.network)
+        along.append(ranks.led((other.number, 0, 2), own))
+        alone = weights_digest(other.piece(own, 0, 2, along[-1])[0])
+        torch.distributed.broadcast(torch.tensor([ranks.STOP, 0, 0]), 0)
+    else:
+        for _, first, last in ranks.orders(one.number):
+            state, _ = one.piece(ranks.followed(new_state(one.network)), first, last, together=True)
+    told = {"digest": weights_digest(state), "along": along, "alone": alone}
+    (folder / f"{number}.json").write_text(json.dumps(told))
+    torch.distributed.destroy_process_group()
+
+
+def test_two_processes_train_one_policy_and_the_first_one_alone_what_the_other_does_not_have(tmp_path: Path) -> None:
+    torch.multiprocessing.spawn(_policy_of_two, (tmp_path,), nprocs=2)
+    lead, follower = (json.loads((tmp_path / f"{number}.json").read_text()) for number in range(2))
+    assert lead["digest"] == follower["digest"], "both have the same weights"
+    assert lead["along"] == [True, True, False]
+    for batch, steps, digest, same in ((8, 4, lead["digest"], False), (4, 2, lead["alone"], True)):
+        here = sft(batch)
+        state, _ = here.piece(new_state(here.network), 0, steps, together=False)
+        assert (weights_digest(state) == digest) == same, "what two train has chances of its own; what one trains is as ever"
+
+
+def test_two_processes_see_the_two_halves_of_a_batch_of_demonstrations() -> None:
+    whole, halves = sft().batches, [replace(sft().batches, part=(own, 2)) for own in range(2)]
+    actions = [batches.at(3)[1] for batches in (whole, *halves)]
+    assert torch.equal(torch.cat([actions[0][0::2], actions[0][1::2]]), torch.cat(actions[1:]))
 
 
 def test_a_batch_that_cannot_be_shared_is_a_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
