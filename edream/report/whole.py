@@ -93,7 +93,7 @@ def _calibration(run: Run) -> dict[str, Any]:
             ("calibrated, from", mrad(judge["before"]["joint_rmse_rad"]), "mrad"),
             ("to", mrad(judge["joint_rmse_rad"]), "mrad"),
         ],
-        "figures": [by_joint(judge, list(judge["per_joint"])), by_horizon(judge)],
+        "figures": [by_joint(judge, run["ingest"]["summary.json"]["joints"]), by_horizon(judge)],
     }
 
 
