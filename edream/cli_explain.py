@@ -117,8 +117,10 @@ def _experiment(name: str, found: Mapping[str, Any]) -> str:
     cuda = [part for part in ("dream", "policy") if cfg[part].device == "cuda" and not found["gpu"]]
     reasons = [found["can run"]["rendering"].removeprefix("no: ")] if found["can run"]["rendering"].startswith("no") else []
     reasons += [f"{' and '.join(f'{part}.device' for part in cuda)} ask for a GPU, and there is none"] if cuda else []
-    rest = f"no: {'; '.join(reasons)}" if reasons else "yes, given video and a task"
-    return f"{robot}{give}: calibrate, diagnose {first}; dream, train-policy {rest}"
+    reasons += ["torch cannot be loaded"] if "broken" in found["packages"]["torch"] else []
+    alone = cfg.render.model == "none"  # video of a robot for which there is no model
+    rest = f"no: {'; '.join(reasons)}" if reasons else f"yes, given video{'' if alone else ' and a task'}"
+    return f"{robot}{give}: dream {rest}" if alone else f"{robot}{give}: calibrate, diagnose {first}; dream, train-policy {rest}"
 
 
 def _catalogs() -> list[str]:

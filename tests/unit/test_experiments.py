@@ -48,6 +48,7 @@ def test_doctor_says_what_of_each_experiment_can_run_here() -> None:
     if told["gpu"] is None:
         assert "ask for a GPU" in told["experiments"]["paper"] and "GPU" not in told["experiments"]["tiny"]
     assert "robot.mjcf=PATH" in told["experiments"]["so101"]
+    assert "calibrate" not in told["experiments"]["video"], "there is no robot to calibrate"
 
 
 def test_one_page_about_several_runs_is_made_once_and_stands_beside_the_paper(tmp_path: Path) -> None:
