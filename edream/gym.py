@@ -17,8 +17,9 @@ from edream.core.errors import EdreamError, unknown_name
 from edream.core.policy import Observation, World
 from edream.core.task import Task
 from edream.sim.camera import prepare_graphics
+from edream.sim.eyes import Images
 from edream.sim.robot import RobotModel, load_robot
-from edream.sim.workcell import Images, SimulatedWorkcell
+from edream.sim.workcell import SimulatedWorkcell
 
 if TYPE_CHECKING:
     from edream.vision.dreamer import Dreamer, Past

@@ -11,8 +11,9 @@ from edream import catalog
 from edream.core.camera import Camera
 from edream.core.policy import Observation, World
 from edream.core.task import Task
+from edream.sim.eyes import Images
 from edream.sim.robot import RobotModel
-from edream.sim.workcell import Images, SimulatedWorkcell
+from edream.sim.workcell import SimulatedWorkcell
 from edream.vision.dreamer import Dreamer, Past, Render
 
 

@@ -1,7 +1,7 @@
 """The cameras of a workcell: one graphics context for all of them and for every trial."""
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
@@ -9,18 +9,36 @@ from jaxtyping import UInt8
 from mujoco.rendering.classic import gl_context
 
 from edream.core.bench import Bench
+from edream.core.camera import Camera
 from edream.core.policy import Conditions
 from edream.sim.camera import graphics
-
-if TYPE_CHECKING:
-    from edream.sim.workcell import Images
 
 EYE = "task_eye_"
 SHOWN = (0, 1, 2)  # groups of geoms of the robot
 PROXIES, PARTS, DECOR = 3, 4, 5
 
 
-def furnish_views(spec: mujoco.MjSpec, bench: Bench, images: "Images") -> None:
+@dataclass(frozen=True, eq=False)
+class Images:
+    """How a workcell is seen.
+
+    Attributes:
+        cameras: which of the bench's views.
+        height, width: size of the images [pixel].
+        placed: cameras as calibrated, by name, in place of the bench's views.
+        raw: whether observations hold the raw rendering; else they hold no images, and `conditions` says what is to be seen.
+        supersampling: images are rendered so many times larger and averaged.
+    """
+
+    cameras: tuple[str, ...] = ("cam_high",)
+    height: int = 64
+    width: int = 64
+    placed: Mapping[str, Camera] | None = None
+    raw: bool = True
+    supersampling: int = 1
+
+
+def furnish_views(spec: mujoco.MjSpec, bench: Bench, images: Images) -> None:
     """Put the cameras into a spec, with the light of `edream.sim.camera`, and take away those it had.
 
     Raises:
@@ -63,7 +81,7 @@ class Eyes:
         EdreamError: this machine cannot render.
     """
 
-    def __init__(self, model: mujoco.MjModel, images: "Images") -> None:
+    def __init__(self, model: mujoco.MjModel, images: Images) -> None:
         self.images, k = images, images.supersampling
         self._rectangle = mujoco.MjrRect(0, 0, images.width * k, images.height * k)
         with graphics():

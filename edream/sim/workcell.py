@@ -1,7 +1,6 @@
 """The simulated workcell: any MJCF of a robot, published or calibrated, with a task's table and things added to it."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
 import mujoco
@@ -9,12 +8,11 @@ import numpy as np
 from jaxtyping import Float
 
 from edream.core.bench import Arm, bench_of
-from edream.core.camera import Camera
 from edream.core.effect import MEASURED_SUFFIX, MOTOR_SUFFIX, joint_index
 from edream.core.errors import EdreamError
 from edream.core.policy import Conditions, Observation, Outcome, StartNoise, World
 from edream.core.task import Layout, Scene, Task, Thing, pinched
-from edream.sim.eyes import Eyes, furnish_views
+from edream.sim.eyes import DECOR, PARTS, PROXIES, Eyes, Images, furnish_views
 from edream.sim.open_loop import load_hook
 from edream.sim.robot import RobotModel
 
@@ -26,28 +24,7 @@ SHAPES = {
     "capsule": mujoco.mjtGeom.mjGEOM_CAPSULE,
     "sphere": mujoco.mjtGeom.mjGEOM_SPHERE,
 }
-PROXIES, PARTS, DECOR = 3, 4, 5  # groups of geoms; a robot's own that show are in 0 to 2
 THING = "task_"
-
-
-@dataclass(frozen=True, eq=False)
-class Images:
-    """How a workcell is seen.
-
-    Attributes:
-        cameras: which of the bench's views.
-        height, width: size of the images [pixel].
-        placed: cameras as calibrated, by name, in place of the bench's views.
-        raw: whether observations hold the raw rendering; else they hold no images, and `conditions` says what is to be seen.
-        supersampling: images are rendered so many times larger and averaged.
-    """
-
-    cameras: tuple[str, ...] = ("cam_high",)
-    height: int = 64
-    width: int = 64
-    placed: Mapping[str, Camera] | None = None
-    raw: bool = True
-    supersampling: int = 1
 
 
 class SimulatedWorkcell(World):

@@ -15,9 +15,10 @@ from edream.reality.recorder import perform
 from edream.reality.session import Session, hollow
 from edream.reality.truth import draw, seal, unseal
 from edream.reality.workcell import RealWorkcell
+from edream.sim.eyes import Images
 from edream.sim.reach import Reach
 from edream.sim.robot import RobotModel
-from edream.sim.workcell import Images, SimulatedWorkcell
+from edream.sim.workcell import SimulatedWorkcell
 from tests.workcells import hidden, robot, task
 
 VIEWS = ("cam_high", "cam_side", "wrist")
