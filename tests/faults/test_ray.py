@@ -5,6 +5,7 @@ python -m pytest -m slow tests/faults/test_ray.py     (needs edream[ray])
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 import threading
@@ -15,15 +16,19 @@ from pathlib import Path
 import pytest
 import small_stages
 
-from edream import pipeline
+from edream import config, pipeline
+from edream.calibration.settings import RobotSettings
 from edream.core.errors import EdreamError
 from edream.executor import Ray, create
+from edream.reality.cell_look import CellLook
 from edream.reality.look import Look
 from edream.record import RecordConfig, record
+from edream.record_task import record_task
 from edream.stages import render
 from edream.store import Store
 from tests.rendering import pan_tilt
 from tests.test_dream_pipeline import settings as dream_settings
+from tests.test_policy_pipeline import settings as policy_settings
 
 ROOT = Path(__file__).parents[2]
 SHARDS = 60
@@ -137,3 +142,19 @@ def test_rendering_and_dreamed_video_on_a_cluster_have_the_digests_of_one_machin
         digests.append([pipeline.make(stage, cfg).digest for stage in ("render", "score")])
     assert len(asked) == 2 and min(asked) >= 5, "five episodes are rendered there, and every kind of video is made there"
     assert digests[0] == digests[1]
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_trials_of_policies_on_a_cluster_have_the_digests_of_one_machine(cluster, rendering, tmp_path) -> None:
+    demos = tmp_path / "demos"
+    robot = config.read(config.compose(["robot=arm6"]).robot, RobotSettings, "robot").load()
+    record_task(robot, "grab_paper_cup", RecordConfig(demos, episodes=3, cell=CellLook(height=32, width=32)), seed=1)
+    small = ("rl.rounds=1", "evaluate.of=[sft]", "evaluate.films=0", "sft.twins=false", "rollouts.shard=1")
+    far = ("executor=ray", f"executor.address={cluster.address}", "executor.workers=0")
+    here = policy_settings(demos, tmp_path / "runs", *small)
+    there = policy_settings(demos, tmp_path / "runs", *small, *far)
+    for stage in ("rollouts", "evaluate"):
+        made = pipeline.make(stage, here)
+        shutil.rmtree(made.folder)
+        assert pipeline.make(stage, there).digest == made.digest
