@@ -8,6 +8,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from edream.sim.rotor import has_rotor, wind_up
 from edream.sim.simulation import SimulatedRobot, late_last
 
 STATEFUL = "MuJoCo starts filters and delays at zero; this file starts them at the command that holds."
@@ -122,7 +123,7 @@ def begin(model, data):
         if samples and model.sensor_type[sensor] == int(mujoco.mjtSensor.mjSENS_JOINTPOS):
             values = model.sensor_historyadr[sensor] + 2 + samples
             data.history[values : values + samples] = data.qpos[model.jnt_qposadr[model.sensor_objid[sensor]]]
-    mujoco.mj_forward(model, data)
+{gears}    mujoco.mj_forward(model, data)
 
 
 def make(model):
@@ -144,6 +145,14 @@ def make_batch(batch):
     base = state.friction.copy()
     return lambda: apply(state, base, laws)
 '''
+
+GEARS = """    for _, index, _ in calls(model):
+        if index and index["drive"] != index["dof"]:
+            data.qpos[index["drive_qpos"]], data.qvel[index["drive"]] = data.qpos[index["qpos"]], data.qvel[index["dof"]]
+    mujoco.mj_forward(model, data)
+    gears = model.tendon_stiffness[None], model.tendon_range[None], model.tendon_lengthspring[None], data.eq_active[None]
+    wind_up(model, data.qpos[None], (data.qfrc_bias - data.qfrc_passive)[None], *gears)
+"""
 
 
 def hook_text(simulated: SimulatedRobot, numbers: Sequence[Mapping[str, np.ndarray]], model: mujoco.MjModel) -> str | None:
@@ -170,7 +179,11 @@ def hook_text(simulated: SimulatedRobot, numbers: Sequence[Mapping[str, np.ndarr
     title = f"What an MJCF cannot say of {simulated.robot.name}: {', '.join(sources) or 'where its filters and delays begin'}."
     calls = "[\n" + "".join(f"    {row},\n" for row in rows) + "]" if rows else "[]"
     head = HEAD.format(title=title, stateful=STATEFUL if delayed or filtered else "").replace('\n\n"""', '\n"""')
-    return head + "\n\n".join(sources[name] for name in sorted(sources)) + BODY.format(calls=calls)
+    geared = any(has_rotor(model, joint) for joint in simulated.robot.joints)
+    if geared:
+        sources[wind_up.__name__] = "\n" + inspect.getsource(wind_up).replace(": Any", "").replace(" -> None", "")
+    laws = "\n\n".join(sources[name] for name in sorted(sources))
+    return head + laws + BODY.format(calls=calls, gears=GEARS if geared else "")
 
 
 def _plain(source: str) -> str:

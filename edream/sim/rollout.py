@@ -12,6 +12,7 @@ from mujoco import batch
 from edream.core.effect import MEASURED_SUFFIX, MOTOR_SUFFIX, joint_index
 from edream.core.episode import Episode
 from edream.sim.hooks import batch_hooks
+from edream.sim.rotor import has_rotor, wind_up
 from edream.sim.simulation import SimulatedRobot, write_fields
 
 CHUNK = 100
@@ -172,8 +173,17 @@ class _Replay:
                     qvel[rows, self.model.jnt_dofadr[twin]] = speed
             _start_actuators(self.batch, self.model, self.index, rows, window, self.step)
             self.batch.bind("ctrl")[rows, self.ctrl_columns] = self.commands[number][0]
-        if self.hooks is not None or self.record == "sensordata":
+        geared = any(has_rotor(self.model, joint) for joint in joints)
+        if geared:
             self.batch.forward()
+            self._wind_up()
+        if geared or self.hooks is not None or self.record == "sensordata":
+            self.batch.forward()
+
+    def _wind_up(self) -> None:
+        bind, expand = self.batch.bind, self.batch.expand
+        fields = (expand("tendon_stiffness"), expand("tendon_range"), expand("tendon_lengthspring"), bind("eq_active"))
+        wind_up(self.model, bind("qpos"), bind("qfrc_bias") - bind("qfrc_passive"), *fields)
 
     def run(self) -> list[np.ndarray]:
         joints = len(self.index)

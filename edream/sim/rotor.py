@@ -88,6 +88,31 @@ def write_bearing(fields: Fields, joint: str, torque: np.ndarray, is_open: np.nd
     fields["dof_frictionloss"][:, int(fields.model.joint(joint).dofadr[0])] = np.where(is_open, torque, 0.0)
 
 
+def wind_up(model: Any, qpos: Any, load: Any, stiffness: Any, limits: Any, rest: Any, locked: Any) -> None:
+    """Turn each motor behind an open gear until the gear carries what holds its link where it is.
+
+    A shaft that gives is twisted by its load, and play is taken up on the side that the load presses on: a replay that began with
+    the motor straight behind its link would let the link drop first. It is written into emitted hook files as it stands.
+
+    Args:
+        model: the model.
+        qpos: positions (N, nq), every motor at its link; motors are written.
+        load: what each joint must hold [N m], (N, nv): `qfrc_bias` less `qfrc_passive` there.
+        stiffness, limits, rest: `tendon_stiffness` (N, nt), `tendon_range` and `tendon_lengthspring` (N, nt, 2).
+        locked: `eq_active`, (N, neq).
+    """
+    names = [model.joint(number).name for number in range(model.njnt)]
+    for joint, name in enumerate(names):
+        tendon = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_TENDON, name + "_gear")
+        if tendon < 0 or name + "_motor" not in names:
+            continue
+        motor, torque = names.index(name + "_motor"), load[:, model.jnt_dofadr[joint]]
+        edge = (limits if model.tendon_limited[tendon] else rest)[:, tendon, 1]
+        give = np.where(stiffness[:, tendon] > 0.0, torque / np.maximum(stiffness[:, tendon], 1e-12), 0.0)
+        twist = np.where(locked[:, model.equality(name + "_gear").id] > 0, 0.0, give + edge * np.sign(torque))
+        qpos[:, model.jnt_qposadr[motor]] = qpos[:, model.jnt_qposadr[joint]] + twist
+
+
 def gear_limit(model: mujoco.MjModel, joint: str) -> float:
     """The stiffest gear that stays stable at this model's time step [N m/rad], of the model as published or with its rotor."""
     number = model.joint(joint + MOTOR_SUFFIX if has_rotor(model, joint) else joint).id

@@ -23,10 +23,15 @@ def head() -> RobotModel:
 
 def settled(effect: str, **quantities: float) -> float:
     """Where the tilt joint comes to rest [rad] when told to hold still at `HELD`, without friction of its servo."""
+    return float(held(effect, HELD, **quantities)[-1])
+
+
+def held(effect: str, begin: float, **quantities: float) -> np.ndarray:
+    """The tilt joint [rad], (T,), from rest at `begin`, told to hold still at `HELD`, without friction of its servo."""
     robot = head()
     times = np.arange(0.0, 3.0, 0.02)
     command = np.tile([0.0, HELD], (len(times), 1))
-    episode = Episode("hold", robot.joints, times, command.copy(), times, command)
+    episode = Episode("hold", robot.joints, times, np.tile([0.0, begin], (len(times), 1)), times, command)
     placements = [
         Placement(catalog.load("effects", "coulomb", Effect), ("tilt",)),
         Placement(catalog.load("effects", effect, Effect), ("tilt",)),
@@ -34,7 +39,7 @@ def settled(effect: str, **quantities: float) -> float:
     simulated = SimulatedRobot(robot, tuple(placements))
     given = {"coulomb.torque[tilt]": 0.0} | {f"{effect}.{name}[tilt]": value for name, value in quantities.items()}
     values = np.array([[given[p.name] for p in simulated.space.parameters]])
-    return float(rollout(simulated, values, whole([episode]))[0][0, -1, 1])
+    return rollout(simulated, values, whole([episode]))[0][0, :, 1]
 
 
 def test_a_shaft_that_gives_costs_its_twist_where_the_servo_follows_its_motor_and_nothing_more_where_it_follows_the_link() -> None:
@@ -53,5 +58,16 @@ def test_a_loaded_gear_with_play_rests_half_a_gap_away_from_its_motor_and_a_serv
 
 
 def test_friction_behind_a_gear_holds_the_link_within_the_play() -> None:
-    free, held = (settled("backlash", play=0.02, feedback=0.0, bearing=torque) for torque in (0.0, 5.0))
-    assert abs(held - HELD) < 1e-3 < abs(free - HELD)
+    free, stuck = (settled("backlash", play=0.02, feedback=0.0, bearing=torque) for torque in (0.0, 5.0))
+    assert abs(stuck - HELD) < 1e-3 < abs(free - HELD)
+
+
+@pytest.mark.parametrize(("effect", "quantities"), [("compliance", {"give": 0.02}), ("backlash", {"play": 0.02})])
+@pytest.mark.parametrize("feedback", [0.0, 1.0])
+def test_a_replay_that_begins_at_rest_begins_with_its_gears_under_load(
+    effect: str, quantities: dict[str, float], feedback: float
+) -> None:
+    everything = {**quantities, "feedback": feedback, "bearing": 0.0}
+    rest = settled(effect, **everything)
+    assert abs(rest - HELD) > 5e-3
+    assert np.abs(held(effect, rest, **everything) - rest).max() < 2e-4
