@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
+from edream.core.effect import Effect
 from edream.core.errors import EdreamError
 from edream.diagnosis.candidates import Candidate, groups_of, library, placement, rounds
 from edream.diagnosis.descent import Fit
@@ -158,8 +159,8 @@ def scored_probes(
     projection = Projection(np.vstack([fit.jacobian[np.ix_(rows, columns)], pull[np.ix_(columns, columns)]]))
     here = projection.out(np.concatenate([residual[rows], away[columns]]))
     best = Scored(candidate, own[0], 0.0)
-    for probe, all_rows in zip(own, changes, strict=False):  # a round has as many changes as its longest list of probes
-        change = projection.out(np.concatenate([all_rows[rows], np.zeros(len(columns))]))
+    moved = [projection.out(np.concatenate([change[rows], np.zeros(len(columns))])) for change in changes[: len(own)]]
+    for probe, change in waves(place.effect, own, moved, here):
         size = float(change @ change)
         if size <= 1e-16 * len(rows):
             continue
@@ -169,6 +170,23 @@ def scored_probes(
         if start is not None and share > best.share:
             best = Scored(candidate, start, share)
     return best
+
+
+def waves(
+    effect: Effect, probes: Sequence[Mapping[str, float]], changes: Sequence[np.ndarray], residual: np.ndarray
+) -> list[tuple[Mapping[str, float], np.ndarray]]:
+    """Probes and what each changes; where an effect has a phase, two that are a quarter turn apart become the one of best phase.
+
+    A sin(x + phi) = A cos(phi) sin(x) + A sin(phi) cos(x): two simulations stand for every phase, both signs included.
+    """
+    if effect.phase is None:
+        return list(zip(probes, changes, strict=True))
+    out = []
+    for probe, sine, cosine in zip(probes[::2], changes[::2], changes[1::2], strict=True):
+        (a, b), *_ = np.linalg.lstsq(np.stack([sine, cosine], axis=1), -residual, rcond=None)
+        angle = float(np.arctan2(b, a))
+        out.append(({**probe, effect.phase: angle}, np.cos(angle) * sine + np.sin(angle) * cosine))
+    return out
 
 
 def _own_rows(problem: Problem, fit: Fit, candidate: Candidate) -> tuple[np.ndarray, np.ndarray]:

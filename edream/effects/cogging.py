@@ -28,6 +28,7 @@ class Cogging(Effect):
     place = "joint"
     confusable = ("position_friction", "spring")
     of_type = False
+    phase = "phase"
 
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
         return (

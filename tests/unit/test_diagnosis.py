@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from benchmarks.blind.cases import robot_of
+from edream.catalog import load
+from edream.core.effect import Effect
 from edream.core.episode import Episode
 from edream.core.errors import EdreamError
 from edream.core.parameters import Parameter
@@ -15,7 +17,7 @@ from edream.diagnosis.descent import Fit, begin
 from edream.diagnosis.next_motion import as_window, draw, room_of, separations, suggest
 from edream.diagnosis.nuisance import published
 from edream.diagnosis.problem import Problem, Settings, measurement_noise, nuisance_placements, prepare
-from edream.diagnosis.screen import ENOUGH, Scored, extend, finalists, fits_beside, screen, thinned, with_quantities
+from edream.diagnosis.screen import ENOUGH, Scored, extend, finalists, fits_beside, screen, thinned, waves, with_quantities
 from edream.diagnosis.verdict import Named, is_strange, judge, sentence
 from edream.sim.rollout import rollout
 from edream.sim.simulation import SimulatedRobot
@@ -176,3 +178,16 @@ def test_a_real_gap_that_nothing_explains_is_not_called_agreement() -> None:
     assert judge([], None, 5.0) == "unnamed"
     said = sentence("unnamed", [], None, ("a",))
     assert "no effect in the library explains" in said and "agrees" not in said
+
+
+@pytest.mark.parametrize("phase", [-2.5, -0.4, 1.0, 3.0])
+def test_two_probes_a_quarter_turn_apart_find_a_wave_of_any_phase(phase: float) -> None:
+    rng = np.random.default_rng(5)
+    turns = rng.normal(size=(4, 300))  # sine and cosine of two wavelengths
+    hidden = 2.0 * (np.cos(phase) * turns[2] + np.sin(phase) * turns[3])
+    probes = [{"periods": n, "phase": p} for n in (8.0, 10.0) for p in (0.0, np.pi / 2.0)]
+    found = waves(load("effects", "cogging", Effect), probes, list(turns), -hidden)
+    (_, away), (probe, change) = found
+    assert probe["periods"] == 10.0 and probe["phase"] == pytest.approx(phase, abs=0.2)
+    assert float(change @ hidden) > 0.99 * np.linalg.norm(change) * np.linalg.norm(hidden)
+    assert abs(float(away @ hidden)) < 0.3 * np.linalg.norm(away) * np.linalg.norm(hidden)
