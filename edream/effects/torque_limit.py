@@ -8,7 +8,7 @@ import numpy as np
 from edream.core.effect import Effect, Fields, Values, joint_index
 from edream.core.parameters import Parameter
 from edream.sim.scales import largest, strongest
-from edream.sim.servo import servo, share_damping
+from edream.sim.servo import damping_inside, servo, share_damping
 
 
 class TorqueLimit(Effect):
@@ -16,9 +16,9 @@ class TorqueLimit(Effect):
 
         |tau| <= T
 
-    Nothing on light moves; heavy or fast ones fall behind. The servo's share of the damping, as published, is within
-    the limit. Writes the servo's `forcerange`.
-    Parameter: torque T [N m], absolute. Source: MuJoCo XML reference, actuator/general/forcerange.
+    Nothing on light moves; heavy or fast ones fall behind. The servo's share of the damping is within the limit.
+    Writes the servo's `forcerange`. Parameters: torque T [N m], absolute; inside: that share [1], about as published.
+    Source: MuJoCo XML reference, actuator/general/forcerange.
     """
 
     name = "torque_limit"
@@ -29,11 +29,14 @@ class TorqueLimit(Effect):
 
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
         scale, nominal = largest(model, targets), max(strongest(model, target) for target in targets)
-        return (Parameter("torque", "N m", min(0.05 * scale, 0.5 * nominal), nominal, nominal, absent=nominal, scale="log"),)
+        return (
+            Parameter("torque", "N m", min(0.05 * scale, 0.5 * nominal), nominal, nominal, absent=nominal, scale="log"),
+            damping_inside(model, targets),
+        )
 
     def probes(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[dict[str, float], ...]:
-        high = self.parameters(model, targets)[0].high
-        return tuple({"torque": min(a * largest(model, targets), high)} for a in (0.3, 0.6, 1.0))
+        torque, inside = self.parameters(model, targets)
+        return tuple({"torque": min(a * largest(model, targets), torque.high), "inside": inside.start} for a in (0.3, 0.6, 1.0))
 
     def edit(self, spec: mujoco.MjSpec, target: str) -> None:
         actuator = servo(spec, target)
@@ -42,7 +45,7 @@ class TorqueLimit(Effect):
             actuator.forcerange = [-1e6, 1e6]
 
     def write(self, fields: Fields, target: str, values: Values) -> None:
-        share_damping(fields, target)
+        share_damping(fields, target, values["inside"])
         actuator = joint_index(fields.model, target)["actuator"]
         fields["actuator_forcerange"][:, actuator, 0] = -values["torque"]
         fields["actuator_forcerange"][:, actuator, 1] = values["torque"]

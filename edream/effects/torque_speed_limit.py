@@ -9,7 +9,7 @@ import numpy as np
 from edream.core.effect import Effect, Fields, State, Values
 from edream.core.parameters import Parameter
 from edream.sim.scales import largest, strongest
-from edream.sim.servo import share_damping
+from edream.sim.servo import damping_inside, share_damping
 
 
 def torque_speed_limit(state: State, index: dict[str, int], values: dict[str, Any]) -> None:
@@ -27,7 +27,8 @@ class TorqueSpeedLimit(Effect):
         |tau| <= Ts max(1 - |qd| / w0, 0)  while the motor drives,  |tau| <= Ts  while it brakes
 
     Fast moves flatten out at a top speed, slow ones are untouched. A hook takes back what exceeds the limit, from the force of
-    the step before. Parameters: stall torque Ts [N m], no-load speed w0 [rad/s]. Source: MuJoCo technical note on DC motors, 1.1.
+    the step before. Parameters: stall torque Ts [N m], no-load speed w0 [rad/s], inside: the servo's
+    share of the damping [1], which is within the limit. Source: MuJoCo technical note on DC motors, 1.1.
     """
 
     name = "torque_speed_limit"
@@ -43,15 +44,16 @@ class TorqueSpeedLimit(Effect):
         return (
             Parameter("stall", "N m", min(0.05 * largest(model, targets), 0.5 * stall), stall, stall, absent=stall, scale="log"),
             Parameter("speed", "rad/s", 0.2, 200.0, 200.0, absent=200.0, scale="log"),
+            damping_inside(model, targets),
         )
 
     def probes(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[dict[str, float], ...]:
-        torque, stall = largest(model, targets), self.parameters(model, targets)[0].high
-        pairs = ((0.5 * torque, 5.0), (torque, 2.0), (4.0 * torque, 2.0), (stall, 2.0))
-        return tuple({"stall": min(limit, stall), "speed": speed} for limit, speed in pairs)
+        torque, (most, _, inside) = largest(model, targets), self.parameters(model, targets)
+        pairs = ((0.5 * torque, 5.0), (torque, 2.0), (4.0 * torque, 2.0), (most.high, 2.0))
+        return tuple({"stall": min(limit, most.high), "speed": speed, "inside": inside.start} for limit, speed in pairs)
 
     def write(self, fields: Fields, target: str, values: Values) -> None:
-        share_damping(fields, target)
+        share_damping(fields, target, values["inside"])
 
 
 ENTRY = TorqueSpeedLimit()

@@ -1,10 +1,14 @@
 """The servo that drives a joint: found in a spec, and given the features of MuJoCo's PID actuator."""
 
+from collections.abc import Sequence
+
 import mujoco
 import numpy as np
+from jaxtyping import Float
 
 from edream.core.effect import MOTOR_SUFFIX, Fields, joint_index
 from edream.core.errors import EdreamError
+from edream.core.parameters import Parameter
 
 NO_INPUT = 16  # mjINPUT_NONE: a passive device
 TURNED = np.pi / 2.0  # phase of a cogging without poles that makes a constant torque of its sine
@@ -66,17 +70,24 @@ def driven_joints(spec: mujoco.MjSpec) -> list[str]:
     return [link if link in names else name for link, name in zip(links, driven, strict=True)]
 
 
-def share_damping(fields: Fields, joint: str) -> None:
-    """Give the servo its published share of a joint's damping again, where one number for both stands on the joint alone.
+def damping_inside(model: mujoco.MjModel, targets: Sequence[str]) -> Parameter:
+    """What share of a joint's damping is the servo's, and so within its limits: as published, give or take."""
+    shares = []
+    for target in targets:
+        index = joint_index(model, target)
+        published = -float(model.actuator_biasprm[index["actuator"], 2])
+        shares.append(published / max(published + float(model.dof_damping[index["drive"]]), 1e-12))
+    return Parameter("inside", "1", 0.0, 1.0, min(max(shares), 1.0), spread=0.2)
+
+
+def share_damping(fields: Fields, joint: str, inside: Float[np.ndarray, "N"]) -> None:
+    """Give the servo its share of a joint's damping again, where one number for both stands on the joint alone.
 
     What the servo damps is part of its torque, and so within its limits; what the joint damps is not. Where `derivative_gain` has
     said what the servo damps, that stands.
     """
     index = joint_index(fields.model, joint)
-    published = -float(fields.model.actuator_biasprm[index["actuator"], 2])
-    total = published + float(fields.model.dof_damping[index["drive"]])
     merged = fields["actuator_biasprm"][:, index["actuator"], 2] == 0.0
-    if published > 0.0 and total > 0.0 and merged.any():
-        damping = fields["dof_damping"][merged, index["drive"]]
-        fields["actuator_biasprm"][merged, index["actuator"], 2] = -damping * published / total
-        fields["dof_damping"][merged, index["drive"]] = damping * (1.0 - published / total)
+    damping = fields["dof_damping"][merged, index["drive"]]
+    fields["actuator_biasprm"][merged, index["actuator"], 2] = -damping * inside[merged]
+    fields["dof_damping"][merged, index["drive"]] = damping * (1.0 - inside[merged])

@@ -142,6 +142,9 @@ def test_every_parameter_of_an_effect_moves_the_robot(name: str) -> None:
     effect = load(name)
     where, target, _ = home(effect)
     simulated = placed(effect, target, where=where)
+    if name != "viscous":  # one number for all damping of a joint, as calibration has it
+        damped = [Placement(load("viscous"), (joint,)) for joint in robot(where).joints]
+        simulated = simulated.with_placements([*damped, *simulated.placements])
     own = [p for p in simulated.space.parameters if p.name.startswith(name + ".")]
     quantities = [p.name.removeprefix(name + ".").partition("[")[0] for p in own]
     present = effect.probes(robot(where).model, target)[0]
@@ -247,17 +250,26 @@ def test_an_effect_works_on_a_model_without_armature_damping_or_friction(name: s
 def test_a_torque_limit_holds_the_servos_share_of_the_damping() -> None:
     """The published servo has kv 0.5 beside a joint damping of 0.1: five sixths of any damping are the motor's torque."""
     both = SimulatedRobot(robot("pan_tilt"), tuple(Placement(load(name), ("tilt",)) for name in ("torque_limit", "viscous")))
-    values = {"torque_limit.torque[tilt]": 2.0, "viscous.damping[tilt]": 0.9}
-    model = mujoco.MjModel.from_xml_string(emit(both, values).mjcf)
-    assert model.actuator("tilt").biasprm[2] == pytest.approx(-0.75) and model.joint("tilt").damping[0] == pytest.approx(0.15)
-    assert model.actuator("tilt").forcerange[1] == pytest.approx(2.0)
+    published = dict(zip(both.space.names, both.space.start(), strict=True))["torque_limit.inside[tilt]"]
+    assert published == pytest.approx(0.5 / 0.6)
+    for inside in (published, 0.4):
+        values = {"torque_limit.torque[tilt]": 2.0, "torque_limit.inside[tilt]": inside, "viscous.damping[tilt]": 0.9}
+        model = mujoco.MjModel.from_xml_string(emit(both, values).mjcf)
+        assert model.actuator("tilt").biasprm[2] == pytest.approx(-0.9 * inside)
+        assert model.joint("tilt").damping[0] == pytest.approx(0.9 * (1.0 - inside))
+        assert model.actuator("tilt").forcerange[1] == pytest.approx(2.0)
 
 
 @pytest.mark.parametrize("kv", [0.3, 0.0])
 def test_a_torque_limit_leaves_a_derivative_gain_that_was_found_alone(kv: float) -> None:
     names = ("torque_limit", "viscous", "derivative_gain")
     all_three = SimulatedRobot(robot("pan_tilt"), tuple(Placement(load(name), ("tilt",)) for name in names))
-    values = {"torque_limit.torque[tilt]": 2.0, "viscous.damping[tilt]": 0.9, "derivative_gain.kv[tilt]": kv}
+    values = {
+        "torque_limit.torque[tilt]": 2.0,
+        "torque_limit.inside[tilt]": 0.8,
+        "viscous.damping[tilt]": 0.9,
+        "derivative_gain.kv[tilt]": kv,
+    }
     model = mujoco.MjModel.from_xml_string(emit(all_three, values).mjcf)
     assert model.actuator("tilt").biasprm[2] == pytest.approx(-kv, abs=1e-9)
     assert model.joint("tilt").damping[0] == pytest.approx(0.9)
