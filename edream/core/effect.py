@@ -31,7 +31,12 @@ class Fields(Protocol):
 
 
 class State(Protocol):
-    """What a hook reads and writes, each with a leading axis of N simulations; one for a plain `MjData`."""
+    """What a hook reads and writes, each with a leading axis of N simulations; one for a plain `MjData`.
+
+    Attributes:
+        gear_torque: what each joint's gear passed on to its link in the last step [N m]: weight, motion and inertia of all that
+            hangs on it, without the armature, which sits before the gear.
+    """
 
     time: Float[np.ndarray, "N"]
     qpos: Float[np.ndarray, "N nq"]
@@ -39,6 +44,7 @@ class State(Protocol):
     ctrl: Float[np.ndarray, "N nu"]
     qfrc_bias: Float[np.ndarray, "N nv"]
     actuator_force: Float[np.ndarray, "N outputs"]
+    gear_torque: Float[np.ndarray, "N nv"]
     gain: Float[np.ndarray, "N actuators"]
     friction: Float[np.ndarray, "N nv"]
     torque: Float[np.ndarray, "N nv"]

@@ -14,7 +14,7 @@ from edream.sim.rotor import drive_joint
 
 def directional_efficiency(state: State, index: dict[str, int], values: dict[str, Any]) -> None:
     """Dry friction grows with the load, by another factor when the joint lifts than when it lowers."""
-    dof, load = index["drive"], state.qfrc_bias[:, index["dof"]]
+    dof, load = index["drive"], state.gear_torque[:, index["dof"]]
     state.friction[:, dof] += values["slope"] * np.abs(load)
     state.torque[:, dof] -= values["slope"] * values["asymmetry"] * load
 

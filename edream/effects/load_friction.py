@@ -13,7 +13,7 @@ from edream.sim.rotor import drive_joint
 
 def load_friction(state: State, index: dict[str, int], values: dict[str, Any]) -> None:
     """Dry friction grows with the torque on the gear: from the load's side, from the motor's, or between the two."""
-    load, motor = abs(state.qfrc_bias[:, index["dof"]]), abs(state.actuator_force[:, index["actuator"]])
+    load, motor = abs(state.gear_torque[:, index["dof"]]), abs(state.actuator_force[:, index["actuator"]])
     share = values["motor_share"]
     state.friction[:, index["drive"]] += values["slope"] * ((1.0 - share) * load + share * motor)
 
@@ -23,9 +23,10 @@ class LoadFriction(Effect):
 
         F = F0 + k ((1 - m) |tau_load| + m |tau_motor|)
 
-    The loop between measured and commanded position is wide where gravity pulls and narrow where it does not. A gear that is loaded
-    from its output (self-locking) has m near 0, one whose losses follow the motor's torque m near 1. MJCF has no such term: a hook
-    sets `dof_frictionloss` before each step. Parameters: slope k [1], motor_share m [1].
+    The load is all that the gear passes on to its link: weight, motion and inertia. The loop between measured and commanded
+    position is wide where gravity pulls and narrow where it does not. A gear that is loaded from its output (self-locking) has m
+    near 0, one whose losses follow the motor's torque m near 1. MJCF has no such term: a hook sets `dof_frictionloss` before each
+    step. Parameters: slope k [1], motor_share m [1].
     Source: Bittencourt, Gunnarsson, IEEE/ASME Transactions on Mechatronics 17(4), 2012; Duclusaud et al. (BAM), 2024.
     """
 

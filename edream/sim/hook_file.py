@@ -42,6 +42,7 @@ class One:
         self.time = np.array([data.time])
         self.qpos, self.qvel, self.ctrl = data.qpos[None], data.qvel[None], data.ctrl[None]
         self.qfrc_bias, self.actuator_force = data.qfrc_bias[None], data.actuator_force[None]
+        self.gear_torque = (data.qfrc_smooth + data.qfrc_bias + data.qfrc_constraint - model.dof_armature * data.qacc)[None]
         self.gain = -model.actuator_biasprm[None, :, 1]
         self.friction, self.torque = model.dof_frictionloss[None], data.qfrc_applied[None]
 
@@ -55,10 +56,16 @@ class Many:
         self.qpos, self.qvel, self.ctrl = bind("qpos"), bind("qvel"), bind("ctrl")
         self.qfrc_bias, self.actuator_force = bind("qfrc_bias"), bind("actuator_force")
         self.friction, self.torque = batch.expand("dof_frictionloss"), bind("qfrc_applied")
+        self.smooth, self.constraint, self.qacc = bind("qfrc_smooth"), bind("qfrc_constraint"), bind("qacc")
+        self.armature = batch.expand("dof_armature")
 
     @property
     def time(self):
         return self.clock.reshape(len(self.clock))
+
+    @property
+    def gear_torque(self):
+        return self.smooth + self.qfrc_bias + self.constraint - self.armature * self.qacc
 
     @property
     def gain(self):

@@ -17,6 +17,8 @@ class BatchState:
         self.clock = bind("time")
         self.qpos, self.qvel, self.ctrl = bind("qpos"), bind("qvel"), bind("ctrl")
         self.qfrc_bias, self.actuator_force = bind("qfrc_bias"), bind("actuator_force")
+        self._smooth, self._constraint, self._qacc = bind("qfrc_smooth"), bind("qfrc_constraint"), bind("qacc")
+        self._armature = simulations.expand("dof_armature")
         self._bias = simulations.expand("actuator_biasprm")
         self.friction = simulations.expand("dof_frictionloss")
         self.torque = bind("qfrc_applied")
@@ -26,6 +28,10 @@ class BatchState:
     @property
     def time(self) -> Float[np.ndarray, "N"]:
         return self.clock.reshape(len(self.clock)) + self.start
+
+    @property
+    def gear_torque(self) -> Float[np.ndarray, "N nv"]:
+        return self._smooth + self.qfrc_bias + self._constraint - self._armature * self._qacc
 
     @property
     def gain(self) -> Float[np.ndarray, "N actuators"]:

@@ -273,3 +273,13 @@ def test_a_torque_limit_leaves_a_derivative_gain_that_was_found_alone(kv: float)
     model = mujoco.MjModel.from_xml_string(emit(all_three, values).mjcf)
     assert model.actuator("tilt").biasprm[2] == pytest.approx(-kv, abs=1e-9)
     assert model.joint("tilt").damping[0] == pytest.approx(0.9)
+
+
+def test_friction_with_the_load_counts_the_inertia_that_a_gear_moves_and_not_weight_alone() -> None:
+    """The pan joint stands upright: gravity never loads it."""
+    simulated = placed(load("load_friction"), ("pan",), where="pan_tilt")
+    start = dict(zip(simulated.space.names, simulated.space.start(), strict=True)) | {"load_friction.motor_share[pan]": 0.0}
+    sets = [simulated.space.vector(start | {"load_friction.slope[pan]": slope}) for slope in (0.0, 0.5)]
+    without_, with_ = play(simulated, np.array(sets), "pan_tilt")
+    pan = robot("pan_tilt").joints.index("pan")
+    assert np.abs(with_ - without_)[:, pan].max() > 1e-4
