@@ -3,9 +3,10 @@
 import os
 import platform
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from importlib import import_module
+from importlib.util import find_spec
 
 import mujoco
 import numpy as np
@@ -55,6 +56,7 @@ def prepare_graphics() -> None:
     Raises:
         EdreamError: neither is there.
     """
+    _compiler_first()
     if os.environ.get("MUJOCO_GL") or os.environ.get("DISPLAY") or platform.system() != "Linux":
         return
     said = []
@@ -65,6 +67,17 @@ def prepare_graphics() -> None:
         except (ImportError, AttributeError, RuntimeError) as error:
             said.append(f"{kind}: {_one_line(error)}")
     raise EdreamError(f"{NO_GRAPHICS} ({'; '.join(said)})")
+
+
+def _compiler_first() -> None:
+    """Load torch's compiler before any graphics, where it is installed.
+
+    Both it and Mesa's software renderer bring an LLVM of their own. With Mesa's loaded first, the other one ends the process when
+    torch asks for it (a segmentation fault: torch 2.15, triton 3.9, Mesa 22.3); the other way round both work.
+    """
+    if platform.system() == "Linux" and find_spec("triton") is not None:
+        with suppress(ImportError, OSError):  # torch says so itself where it needs it
+            import_module("triton._C.libtriton")
 
 
 class SimulationCamera:

@@ -1,5 +1,7 @@
 """Cameras: projection, what the simulation renders, files, and poses found from marks and silhouettes."""
 
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -209,3 +211,10 @@ def test_thinned_meshes_look_the_same_and_a_light_robot_stays_as_it_is(rendering
     masks = [one.robot > 127 for one in seen]
     assert (masks[0] & masks[1]).sum() / (masks[0] | masks[1]).sum() > 0.98 and masks[0].mean() > 0.02
     assert np.abs(seen[0].colour.astype(int) - seen[1].colour).mean() < 1.0
+
+
+def test_torch_s_compiler_and_a_software_renderer_share_a_process(rendering, root: Path) -> None:
+    pytest.importorskip("triton", reason="torch is here without its compiler")
+    program = "from tests.rendering import why_not; assert why_not() is None; import torch._dynamo"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=200, cwd=root)
+    assert done.returncode == 0, done.stderr
