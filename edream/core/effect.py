@@ -68,6 +68,7 @@ class Effect(ABC):
             comes after them.
         of_type: whether its numbers belong to a type of hardware, so that joints of one type may share them, rather than to one
             assembly, as a zero offset does.
+        rough: whether its error has many valleys, so that a descent needs a search before it.
         phase: the quantity that is a phase [rad], or None. Its probes then come in pairs, at phase 0 and at a quarter turn.
         special: a simpler effect that this one is where one of its quantities has a certain value: (effect, quantity, value).
     """
@@ -78,6 +79,7 @@ class Effect(ABC):
     confusable: tuple[str, ...] = ()
     hook: Hook | None = None
     late: int = 0
+    rough: bool = False
     phase: str | None = None
     of_type: bool = True
     special: tuple[str, str, float] | None = None

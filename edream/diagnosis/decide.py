@@ -12,6 +12,7 @@ from edream.diagnosis.candidates import Candidate, placement
 from edream.diagnosis.descent import Fit, begin, descend, polish, stretches
 from edream.diagnosis.left_out import bootstrap, far_off, is_brief, left_out_errors
 from edream.diagnosis.problem import Problem
+from edream.diagnosis.rough import rough_candidates, searched
 from edream.diagnosis.screen import Scored, extend, scaled_probe, screen, unexplained_by, with_quantities
 from edream.sim.least_squares import worth
 from edream.sim.objective import Objective, rms
@@ -28,6 +29,8 @@ AS_WELL = 0.95  # of the share that an effect closes: its special case closes as
 DISTINCT = 0.5  # of the floor squared, or of the error where that is larger
 SERIOUS_SHARE = 0.01
 STRONG = 5.0  # probes
+REAL_GAP = 1.8  # how many floors of left-out error are a gap worth a name
+MOST = 0.5  # of the gap: who closes less may be a false valley
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +81,7 @@ def forward(problem: Problem, fit: Fit, done: Callable[[str, int], object] = lam
             break
         scored = screen(problem, fit, lambda n: done("screening", n))
         trials = try_best(problem, fit, errors, scored, lambda n: done("refitting", n))
+        trials = with_rough(problem, fit, errors, trials, lambda n: done("searching", n))
         trials = with_confusable(problem, fit, errors, scored, trials, lambda n: done("refitting", n))
         trials = settled(problem, errors, trials)
         trials = simplified(problem, fit, errors, trials)
@@ -227,6 +231,25 @@ def bold_starts(
     starts = [with_quantities(extended, absent, [place], [one]) for one in quantities]
     friction = np.array([name.startswith("coulomb.") for name in extended.simulated.space.names])
     return [*starts, *(np.where(friction, 0.2 * start, start) for start in starts if friction.any())]
+
+
+def with_rough(
+    problem: Problem,
+    fit: Fit,
+    errors: Float[np.ndarray, "M"],
+    trials: Sequence[Trial],
+    done: Callable[[int], object] = lambda n: None,
+) -> list[Trial]:
+    """The trials; where none that passes closes most of a real gap, also the effects that no descent finds."""
+    closed = max((t.closed for t in trials if passes(problem, t)), default=0.0)
+    if closed >= MOST or float(np.sqrt(errors.mean())) < REAL_GAP * problem.floor:
+        return list(trials)
+    more = []
+    for candidate in rough_candidates(problem, fit):
+        more.append(judged(problem, searched(problem, fit, candidate), errors, Scored(candidate, {}, 0.0)))
+        done(1)
+    others = [t for t in trials if t.candidate not in [m.candidate for m in more]]
+    return sorted([*others, *more], key=lambda t: -t.closed)
 
 
 def with_confusable(

@@ -23,7 +23,7 @@ def left_out_errors(problem: Problem, fit: Fit) -> Float[np.ndarray, "M"]:
     """
     windows = fit.objective.windows
     fold = np.random.default_rng([problem.settings.seed, 11]).permutation(len(windows)) % min(FOLDS, len(windows))
-    if far_off(problem, fit):
+    if far_off(problem, fit) or any(place.effect.rough for place in fit.objective.simulated.placements):
         return _left_out_carefully(fit, fold)
     sets = []
     for number in range(len(windows)):

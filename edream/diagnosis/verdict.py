@@ -11,7 +11,7 @@ from edream.catalog import load
 from edream.core.effect import Effect
 from edream.core.parameters import Parameter
 from edream.diagnosis.candidates import Candidate, placement
-from edream.diagnosis.decide import Round, Trial, backward, forward, rivals
+from edream.diagnosis.decide import REAL_GAP, Round, Trial, backward, forward, rivals
 from edream.diagnosis.descent import Fit
 from edream.diagnosis.left_out import bootstrap, proof_errors
 from edream.diagnosis.nuisance import fit_nuisance, published
@@ -23,7 +23,6 @@ from edream.sim.simulation import unit_at
 
 ALIKE = 0.9  # a rival that closes this share of what the winner closes may be the true one
 STRANGE = (0.68, 1.35)  # times its published value: a nuisance number below or above is an effect itself, 30 % off is usual
-REAL_GAP = 1.8  # how many floors of left-out error are a gap worth a name
 CLOSED = 0.9  # share of the gap, in root-mean-square error, from which what is left is not worth a formula
 ENOUGH = 0.5  # share of the gap that named effects must close, or what is left has no name
 

@@ -28,6 +28,7 @@ class Backlash(Effect):
     summary = "play in the gear (backlash)"
     place = "joint"
     confusable = ("coulomb", "dead_zone", "presliding", "compliance")
+    rough = True
     hook = staticmethod(gear_feedback)
 
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:

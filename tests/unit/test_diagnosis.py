@@ -15,8 +15,9 @@ from edream.diagnosis.candidates import Candidate, groups_of, placement
 from edream.diagnosis.decide import Trial, comes_down_to, rivals, simplest
 from edream.diagnosis.descent import Fit, begin
 from edream.diagnosis.next_motion import as_window, draw, room_of, separations, suggest
-from edream.diagnosis.nuisance import published
+from edream.diagnosis.nuisance import fit_nuisance, published
 from edream.diagnosis.problem import Problem, Settings, measurement_noise, nuisance_placements, prepare
+from edream.diagnosis.rough import rough_candidates, searched
 from edream.diagnosis.screen import ENOUGH, Scored, extend, finalists, fits_beside, screen, thinned, waves, with_quantities
 from edream.diagnosis.verdict import Named, is_strange, judge, sentence
 from edream.sim.rollout import rollout
@@ -191,3 +192,23 @@ def test_two_probes_a_quarter_turn_apart_find_a_wave_of_any_phase(phase: float) 
     assert probe["periods"] == 10.0 and probe["phase"] == pytest.approx(phase, abs=0.2)
     assert float(change @ hidden) > 0.99 * np.linalg.norm(change) * np.linalg.norm(hidden)
     assert abs(float(away @ hidden)) < 0.3 * np.linalg.norm(away) * np.linalg.norm(hidden)
+
+
+def test_play_in_a_gear_is_found_by_a_search_where_the_usual_numbers_have_made_up_for_it() -> None:
+    robot = robot_of("pan_tilt")
+    assert robot is not None
+    still = prepare(robot, [_episode(i, robot) for i in range(4)], Settings())
+    hidden = SimulatedRobot(robot, (*nuisance_placements(still), placement(still, Candidate("backlash", ("pan",)))))
+    numbers = dict(zip(hidden.space.names, hidden.space.start(), strict=True))
+    numbers |= {"backlash.play[pan]": 0.016, "backlash.feedback[pan]": 1.0, "backlash.bearing[pan]": 0.03}
+    windows = (*still.fitted, *still.proof)
+    moved = rollout(hidden, np.array([hidden.space.vector(numbers)]), windows)
+    rng = np.random.default_rng(3)
+    made = [replace(w.episode, position=m[0] + rng.normal(0.0, NOISE, m[0].shape)) for w, m in zip(windows, moved, strict=True)]
+    looked_at = prepare(robot, made, Settings())
+    usual = fit_nuisance(looked_at)
+    (candidate,) = rough_candidates(looked_at, usual)
+    assert candidate == Candidate("backlash", ("pan",))
+    found = searched(looked_at, usual, candidate)
+    assert found.rms < 0.8 * usual.rms
+    assert found.space.mapping(found.values)["backlash.play[pan]"] == pytest.approx(0.016, rel=0.4)

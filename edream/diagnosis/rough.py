@@ -1,0 +1,61 @@
+"""A search for effects whose error has many valleys, such as play in a gear, where no descent from the usual numbers arrives.
+
+Source: Hansen, The CMA Evolution Strategy: A Tutorial, 2016 (CMA-ES by `cma`).
+"""
+
+from dataclasses import replace
+
+import cma
+import numpy as np
+
+from edream.diagnosis.candidates import Candidate, library, placement
+from edream.diagnosis.descent import Fit, begin, descend
+from edream.diagnosis.problem import Problem
+from edream.diagnosis.screen import acts_already, extend, fits_beside, with_quantities
+from edream.sim.objective import Objective, rms
+
+GENERATIONS, CHILDREN = 14, 16
+WIDE = 0.05  # of a parameter's range: the first standard deviation where no prior is narrower
+ENOUGH = 30.0  # s of motion that a search needs
+
+
+def rough_candidates(problem: Problem, fit: Fit) -> list[Candidate]:
+    """The rough effects of the library on the joint that is furthest off."""
+    own = fit.residual.reshape(-1, len(problem.joints))
+    joint = problem.joints[int(np.argmax((own**2).mean(axis=0)))]
+    found = [Candidate(effect.name, (joint,)) for effect in library(problem) if effect.rough]
+    present = fit.objective.simulated.placements
+    return [c for c in found if not acts_already(c, present) and fits_beside(problem, fit, [c])]
+
+
+def searched(problem: Problem, fit: Fit, candidate: Candidate) -> Fit:
+    """The fit with a rough effect on one joint, from the published numbers of that joint, which have not yet made up for it.
+
+    CMA-ES over the joint's own numbers on a few motions, then a descent of all numbers on all motions.
+    """
+    place = placement(problem, candidate)
+    extended, absent = extend(fit, [place])
+    space, few = extended.simulated.space, brief(extended)
+    own = np.array([candidate.targets[0] in name.partition("[")[2].rstrip("]").split("+") for name in space.names])
+    probes = place.effect.probes(problem.robot.model, candidate.targets)
+    sets = np.array([with_quantities(extended, absent, [place], [probe]) for probe in probes])
+    usual = own & (np.arange(len(space)) < len(fit.unit))
+    sets[:, usual] = space.start()[usual]
+    units = np.clip(space.to_unit(sets), 0.0, 1.0)
+    start = units[int(np.argmin([rms(r) for r in few.residuals(space.from_unit(units))]))]
+    spread = np.minimum(space.unit_prior()[1], WIDE)[own]
+    options = {"popsize": CHILDREN, "seed": problem.settings.seed + 1, "bounds": [0, 1], "verbose": -9, "CMA_stds": list(spread)}
+    strategy = cma.CMAEvolutionStrategy(start[own], 1.0, options)
+    for _ in range(GENERATIONS):
+        children = np.tile(start, (CHILDREN, 1))
+        children[:, own] = asked = np.array(strategy.ask())
+        strategy.tell(list(asked), [rms(r) for r in few.residuals(space.from_unit(children))])
+    best = start.copy()
+    best[own] = np.clip(np.array(strategy.result.xbest, dtype=float), 0.0, 1.0)
+    return descend(begin(extended, best), None, 4)
+
+
+def brief(objective: Objective) -> Objective:
+    """The objective on every so-many-th of its motions."""
+    seconds = sum(float(window.times[-1]) for window in objective.windows)
+    return replace(objective, windows=objective.windows[:: max(1, int(seconds // ENOUGH))], simulations=0)
