@@ -34,7 +34,7 @@ class DiagnoseOptions:
     proof: float = 0.25
     holdout: tuple[str, ...] = ()
     stride: int = 1
-    model_floor: float = 5e-4
+    model_floor: float = 3e-4
     gain: float = 0.1
     most: int = 4
     next_motion: bool = True
