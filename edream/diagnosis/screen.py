@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
+from mujoco import batch
 
 from edream.core.effect import Effect
 from edream.core.errors import EdreamError
@@ -23,7 +24,7 @@ from edream.diagnosis.candidates import Candidate, groups_of, library, placement
 from edream.diagnosis.descent import Fit
 from edream.diagnosis.problem import Problem
 from edream.sim.objective import Objective
-from edream.sim.simulation import Placement, SimulatedRobot
+from edream.sim.simulation import Placement, SimulatedRobot, write_fields
 
 FINALISTS = 16
 WORTH_A_LOOK = 0.002  # share
@@ -57,7 +58,9 @@ def screen(problem: Problem, fit: Fit, done: Callable[[int], object] = lambda n:
     first: list[Scored] = []
     for one in rounds(problem, library(problem)):
         fresh = [c for c in one if not acts_already(c, present)]
-        if fresh and fits_beside(problem, fit, fresh):
+        if fresh and not fits_beside(problem, fit, fresh):
+            fresh = [c for c in fresh if fits_beside(problem, fit, [c])]
+        if fresh:
             first += _probe_round(problem, fit, fresh, total)
         done(1)
     second = [again for s in finalists(first) if (again := confirm(problem, fit, s, unexplained, total)) is not None]
@@ -94,12 +97,15 @@ def acts_already(candidate: Candidate, present: Sequence[Placement]) -> bool:
 
 def fits_beside(problem: Problem, fit: Fit, candidates: Sequence[Candidate]) -> bool:
     """Whether MuJoCo has a form for these candidates together with the effects that the model has already."""
-    extended, _ = extend(fit, [placement(problem, c) for c in candidates])
+    extended, absent = extend(fit, [placement(problem, c) for c in candidates])
+    simulated = extended.simulated
     try:
-        return extended.simulated.model is not None
+        one = batch.Batch(simulated.model, 1, 1)
+        write_fields(simulated, one, simulated.quantities(absent[None], [extended.windows[0].episode.conditions]))
     except EdreamError as reason:
         log.info("%s is not tried: %s", candidates[0].effect, reason)
         return False
+    return True
 
 
 def prior_rows(fit: Fit) -> tuple[Float[np.ndarray, "P"], Float[np.ndarray, "P P"]]:

@@ -76,6 +76,10 @@ def test_effects_that_mujoco_cannot_combine_are_not_tried(problem: Problem, fit:
     lagging = replace(fit, objective=extended, unit=extended.simulated.space.to_unit(values))
     assert fits_beside(problem, fit, [Candidate("slew_limit", ("tilt",))])
     assert not fits_beside(problem, lagging, [Candidate("slew_limit", ("tilt",))])
+    slow, _ = extend(fit, [placement(problem, Candidate("slew_limit", ("tilt",)))])
+    slewing = begin(slow, np.append(fit.unit, 0.9))
+    assert not fits_beside(problem, slewing, [Candidate("gear_ratio", ("tilt",))])
+    assert fits_beside(problem, slewing, [Candidate("gear_ratio", ("pan",))])
 
 
 def test_the_suggested_motion_stays_inside_the_robots_room_and_separates_better_than_most(problem: Problem, fit: Fit) -> None:
