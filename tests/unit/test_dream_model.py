@@ -78,7 +78,7 @@ def test_all_variants_begin_with_the_same_weights_and_differ_in_one_thing() -> N
     chosen = variants(TINY, ("real", "crop"))
     assert [v.name for v in chosen] == [DREAM, REGRESSION, WITHOUT]
     digests = {weights_digest(arrays(new_model(TINY, v, 3).denoiser)) for v in chosen}
-    assert len(digests) == 1 and chosen[0].sources == {"real": 0.5, "crop": 0.25} and chosen[2].sources == {"none": 1.0}
+    assert len(digests) == 1 and chosen[0].sources == {"real": 0.34, "crop": 0.33} and chosen[2].sources == {"none": 1.0}
     assert [v.name for v in variants(replace(TINY, objects=False), ("real",))] == [DREAM, REGRESSION]
 
 
