@@ -30,7 +30,6 @@ DISTINCT = 0.5  # of the floor squared, or of the error where that is larger
 SERIOUS_SHARE = 0.01
 STRONG = 5.0  # probes
 REAL_GAP = 1.8  # how many floors of left-out error are a gap worth a name
-MOST = 0.5  # of the gap: who closes less may be a false valley
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,9 +239,8 @@ def with_rough(
     trials: Sequence[Trial],
     done: Callable[[int], object] = lambda n: None,
 ) -> list[Trial]:
-    """The trials; where none that passes closes most of a real gap, also the effects that no descent finds."""
-    closed = max((t.closed for t in trials if passes(problem, t)), default=0.0)
-    if closed >= MOST or float(np.sqrt(errors.mean())) < REAL_GAP * problem.floor:
+    """The trials; where none passes and the gap is real, also the effects that no descent finds."""
+    if any(passes(problem, t) for t in trials) or float(np.sqrt(errors.mean())) < REAL_GAP * problem.floor:
         return list(trials)
     more = []
     for candidate in rough_candidates(problem, fit):

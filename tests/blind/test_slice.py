@@ -38,6 +38,8 @@ def test_nothing_is_named_where_nothing_is_hidden(folder: Path) -> None:
     assert not row["named"], row
 
 
+@pytest.mark.slow
+@pytest.mark.timeout(1200)
 def test_an_effect_outside_the_library_is_unnamed_and_its_gap_reduced(folder: Path) -> None:
     row = outcome(Case("pan_tilt", ("cable_snag",), 0, "foreign"), folder)
     assert row["verdict"] == "unnamed", row
