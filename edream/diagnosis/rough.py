@@ -29,9 +29,10 @@ def rough_candidates(problem: Problem, fit: Fit) -> list[Candidate]:
 
 
 def searched(problem: Problem, fit: Fit, candidate: Candidate) -> Fit:
-    """The fit with a rough effect on one joint, from the published numbers of that joint, which have not yet made up for it.
+    """The fit with a rough effect on one joint, begun at the centres of that joint's priors, which have not yet made up for it.
 
-    CMA-ES over the joint's own numbers on a few motions, then a descent of all numbers on all motions.
+    The centres are the published numbers where those are credible. CMA-ES over the joint's own numbers on a few motions, then a
+    descent of all numbers on all motions.
     """
     place = placement(problem, candidate)
     extended, absent = extend(fit, [place])

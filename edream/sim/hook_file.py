@@ -12,6 +12,7 @@ from edream.sim.rotor import has_rotor, wind_up
 from edream.sim.simulation import SimulatedRobot, late_last
 
 STATEFUL = "MuJoCo starts filters and delays at zero; this file starts them at the command that holds."
+GEARED = "Motors behind gears that give or have play, <joint>_motor, are put where their gears carry the load at time 0."
 
 HEAD = '''"""{title}
 
@@ -21,7 +22,7 @@ Many at once: step = make_batch(batch)   # a mujoco.batch.Batch of this model
               for each step: set ctrl; step(); batch.step()
 
 Call it after ctrl is set and before each step. It owns model.dof_frictionloss and data.qfrc_applied.
-{stateful}
+{starts}
 """
 
 import mujoco
@@ -185,8 +186,9 @@ def hook_text(simulated: SimulatedRobot, numbers: Sequence[Mapping[str, np.ndarr
         rows += [f'({hook.__name__}, "{target}", {listed})' for target in placement.targets or ("",)]
     title = f"What an MJCF cannot say of {simulated.robot.name}: {', '.join(sources) or 'where its filters and delays begin'}."
     calls = "[\n" + "".join(f"    {row},\n" for row in rows) + "]" if rows else "[]"
-    head = HEAD.format(title=title, stateful=STATEFUL if delayed or filtered else "").replace('\n\n"""', '\n"""')
     geared = any(has_rotor(model, joint) for joint in simulated.robot.joints)
+    said = [text for text, true in ((STATEFUL, delayed or filtered), (GEARED, geared)) if true]
+    head = HEAD.format(title=title, starts="\n".join(said)).replace('\n\n"""', '\n"""')
     if geared:
         sources[wind_up.__name__] = "\n" + inspect.getsource(wind_up).replace(": Any", "").replace(" -> None", "")
     laws = "\n\n".join(sources[name] for name in sorted(sources))

@@ -152,7 +152,9 @@ def differing(settings: Any, place: str) -> Iterator[str]:
             yield where
 
 
-@pytest.mark.parametrize("stage", ["condition", "dream", "evaluate", "masks", "rank", "render", "rl", "rollouts", "score", "sweep"])
+@pytest.mark.parametrize(
+    "stage", ["condition", "diagnose", "dream", "evaluate", "masks", "rank", "render", "rl", "rollouts", "score", "sweep"]
+)
 def test_a_default_in_code_is_the_one_in_conf(stage: str) -> None:
     cfg = config.compose(["robot=arm6_working", "task=grab_paper_cup", "data=recordings"])
     shared = (".train.", "rollouts.noise.")  # one schedule serves several trainings, and zeros mean that nothing is left to chance
