@@ -12,8 +12,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from omegaconf import DictConfig
+from typer.testing import CliRunner
 
 from edream import config, pipeline
+from edream.cli import app
 from edream.core.errors import EdreamError
 from edream.ingest.episode_read import read_episode
 from edream.practice.bundle import RunningPolicy, write_bundle
@@ -100,6 +102,16 @@ def test_train_policy_goes_from_demonstrations_to_a_page_with_rates_and_films(ma
     assert len(films) == 2 and episode.videos["cam_high"].height == 32 and episode.notes["outcome"] in ("success", "failure")
     page = artifacts["report"]["report.html"]
     assert page.count("data:image/png;base64,") >= 2 and "Wilson" in page and 'src="http' not in page
+
+
+def test_runs_that_judged_policies_stand_in_one_table_and_the_same_run_twice_counts_once(made, recorded: Path) -> None:
+    runs = Path(made[0].runs)
+    for name, first in (("together-1", 30000), ("together-again", 30000), ("together-2", 30002)):
+        more = ("rl.rounds=2", f"run={name}", f"evaluate.first={first}", "evaluate.films=0", "evaluate.of=[sft]")
+        pipeline.make_run("train-policy", ("evaluate", "report"), settings(recorded, runs, *more))
+    told = CliRunner().invoke(app, ["report", "--whole", "together", f"runs={runs}", "--json"], catch_exceptions=False)
+    page = Path(json.loads(told.stdout)["report"]).read_text()
+    assert "mean of 2 evaluations" in page and page.count(">seed 1</td>") == 2
 
 
 def test_a_round_is_played_by_the_policy_of_the_round_before(made) -> None:

@@ -8,6 +8,7 @@ from edream.core.stage import Artifact, stage_of
 from edream.report.calibration import by_horizon, by_joint
 from edream.report.overview import ladder
 from edream.report.page import mrad, page, picture, share
+from edream.report.successes import Evaluated, beside
 
 Run = Mapping[str, Artifact]
 Row = Sequence[str]
@@ -25,6 +26,8 @@ COMPARABLE = {
     "predicted, in the paper as here.",
     "evaluate": "Not comparable in size: the paper's rates are means of four tasks on a real Mobile ALOHA, ours are one task of a "
     "make-believe robot. What can be compared is whether trials help.",
+    "together": "The paper's rates are of a real Mobile ALOHA and images of full size, ours of a make-believe robot and the settings "
+    "of these runs. What can be compared is how many times as often a policy succeeds after trials.",
     "changed": "The paper's augmentation table was not at hand when this page was written, so none of its numbers stand here; it "
     "uses the same change of scene.",
 }
@@ -46,6 +49,7 @@ def whole_page(runs: Mapping[str, Run], hidden: Sequence[str], robot: str) -> st
         *(_calibration(run) for run in about["fit"]),
         *(_diagnosis(run, hidden) for run in about["diagnose"]),
         *(_video(run) for run in about["score"]),
+        *_together(about["evaluate"]),
         *_success(about["evaluate"]),
     ]
     content = {
@@ -173,6 +177,26 @@ def _video(run: Run) -> dict[str, Any]:
     }
 
 
+def _together(runs: Sequence[Run]) -> Iterator[dict[str, Any]]:
+    """One table of all evaluations on the scene of the demonstrations, where there are several."""
+    plain = {run["evaluate"].key: run["evaluate"] for run in runs if _config(run["evaluate"])["evaluate"]["paper"] == "none"}  # type: ignore[attr-defined]
+    several = [
+        Evaluated(one["summary.json"]["task"], _config(one)["seed"], one["summary.json"]["rates"], one["summary.json"]["paired"])
+        for one in plain.values()
+    ]
+    if len(several) > 1:
+        table = beside(several, PAPER_SUCCESS)
+        yield {
+            **table,
+            "name": "How often policies succeed",
+            "short": table["sentence"],
+            "times": [],
+            "comparable": COMPARABLE["together"],
+            "tiles": [],
+            "figures": [],
+        }
+
+
 def _success(runs: Sequence[Run]) -> Iterator[dict[str, Any]]:
     """How often policies succeed; and, where some learned with changed scenes, on which scene."""
     for run in runs:
@@ -185,7 +209,7 @@ def _success(runs: Sequence[Run]) -> Iterator[dict[str, Any]]:
         yield {
             "name": f"{summary['task']}: {'augmentation, the scene is changed' if changed else 'supervised, then by trials'}",
             "sentence": f"{summary['sentence']} {where[0].upper()}{where[1:]}.",
-            "short": f"{'With paper' if changed else 'Policy'}: {last['name']} {100 * last['success']['share']:.0f} %.",
+            "short": f"{summary['task']}{', paper' if changed else ''}: {last['name']} {100 * last['success']['share']:.0f} %.",
             "heads": ("", "ours [%], Wilson's 95 % interval", "trials", "paper's [%]"),
             "rows": rows,
             "times": [],

@@ -1,0 +1,55 @@
+"""Several evaluations in one table."""
+
+from typing import Any
+
+from edream.practice.rates import rate
+from edream.report.successes import Evaluated, beside
+
+PAPER = {"SFT, 3 views": 0.60, "SFT, 1 view": 0.49, "RL": 0.77}
+
+
+def row(policy: str, name: str, done: int, trials: int = 100) -> dict[str, Any]:
+    one = rate([True] * done + [False] * (trials - done))
+    return {"policy": policy, "name": name, "success": {"share": one.share, "interval": one.interval, "trials": one.trials}}
+
+
+def evaluated(task: str, seed: int, sft: int, rl: int, alone: tuple[int, int] = (1, 2)) -> Evaluated:
+    rates = [row("sft", "SFT, 1 view", sft), row("rl", "RL, 1 view", rl)]
+    return Evaluated(task, seed, rates, {"first": alone[0], "second": alone[1]})
+
+
+def found(table: dict[str, Any], begins: str) -> tuple[str, ...]:
+    return next(cells for cells in table["rows"] if cells[0].startswith(begins))
+
+
+def test_tasks_stand_below_one_another_with_their_mean_and_how_many_times_the_supervised_policy_s_it_is() -> None:
+    table = beside([evaluated("cup", 1, 40, 60, (3, 23)), evaluated("pen", 1, 20, 24, (2, 6))], PAPER)
+    assert table["heads"][1:] == ("SFT, 1 view", "RL, 1 view")
+    assert found(table, "cup")[2].startswith("60.0 [50.2, ")
+    assert found(table, "mean of 2 tasks")[1:] == ("30.0", "42.0") and found(table, "mean / mean of SFT")[1:] == ("1.00", "1.40")
+    assert found(table, "paper")[1:] == ("49", "77")
+    assert table["sentence"].endswith("5 starts were done by SFT, 1 view alone, 29 by RL, 1 view alone.")
+    assert not [cells for cells in table["rows"] if cells[0].startswith("spread")], "tasks differ for other reasons than chance"
+
+
+def test_seeds_of_one_task_have_a_mean_and_a_spread_and_no_paper_beside_them() -> None:
+    table = beside([evaluated("cup", seed, 40 + 10 * seed, 80) for seed in (1, 2, 3)], PAPER)
+    assert found(table, "mean of 3 seeds")[1:] == ("60.0", "80.0") and found(table, "spread")[1:] == ("10.0", "0.0")
+    assert [cells[0] for cells in table["rows"]][:3] == ["seed 1", "seed 2", "seed 3"]
+    assert not [cells for cells in table["rows"] if cells[0].startswith("paper")]
+
+
+def test_a_policy_that_was_not_judged_everywhere_has_no_mean() -> None:
+    views = "sft policy.cameras=[a,b,c] sft.twins=false"
+    more = evaluated("pen", 1, 20, 30)
+    more = Evaluated(more.task, more.seed, [row(views, "SFT, policy.cameras=[a,b,c], 3 views", 90), *more.rates], more.paired)
+    table = beside([evaluated("cup", 1, 40, 60), more], PAPER)
+    place = table["heads"].index("SFT, policy.cameras=[a,b,c], 3 views")
+    assert found(table, "cup")[place] == "–" and found(table, "mean of")[place] == "–" and found(table, "mean /")[place] == "–"
+    assert found(table, "paper")[place] == "60"
+    assert "alone" not in table["sentence"], "they begin with other policies"
+
+
+def test_nothing_is_divided_by_a_policy_that_never_succeeds() -> None:
+    table = beside([evaluated("cup", 1, 0, 60), evaluated("pen", 1, 0, 30)], PAPER)
+    assert not [cells for cells in table["rows"] if cells[0].startswith("mean /")]
