@@ -75,8 +75,7 @@ def make_run(command: str, names: Sequence[str], cfg: DictConfig) -> tuple[dict[
         The artifacts asked for and then all that they were made from, and the file that names them.
     """
     store = open_store(cfg)
-    for name in names:  # a wrong setting of the last stage is told before the first has worked for an hour
-        stage(name).needs_for(config.read(cfg, stage(name).config))
+    foresee(names, cfg)
     with store.session():
         made = {name: make(name, cfg) for name in names}
         for artifact in list(made.values()):
@@ -90,6 +89,37 @@ def make_run(command: str, names: Sequence[str], cfg: DictConfig) -> tuple[dict[
         if store.runs().get(name) != record:
             store.name_run(name, record)
     return made, path
+
+
+def foresee(names: Sequence[str], cfg: DictConfig) -> None:
+    """Read the settings and look for the files of all that making these stages takes.
+
+    So that what is wrong for the last stage is told before the first has worked for an hour.
+
+    Raises:
+        EdreamError: a setting is wrong, or a file is not there.
+    """
+    seen: set[tuple[str, ...]] = set()
+    found: set[tuple[str, str]] = set()
+
+    def look(need: str, cfg: DictConfig, changes: tuple[str, ...]) -> None:
+        name, changes = stage_of(need), (*changes, *need.split(" ")[1:])
+        if (name, *changes) in seen:
+            return
+        seen.add((name, *changes))
+        cfg = under(cfg, need) if name != need else cfg
+        entry = stage(name)
+        settings = config.read(cfg, entry.config)
+        if (name, repr(settings)) not in found:
+            found.add((name, repr(settings)))
+            for source in _sources(entry, settings).values():
+                if isinstance(source, Path) and not source.exists():
+                    source_digest(source)
+        for one in entry.needs_for(settings):
+            look(one, cfg, changes)
+
+    for name in names:
+        look(name, cfg, ())
 
 
 def follow(name: str, cfg: DictConfig) -> None:
@@ -268,17 +298,20 @@ class _Maker:
 
 def _key_fields(entry: Stage, settings: Any, inputs: Mapping[str, StoredArtifact]) -> dict[str, Any]:
     """All that a key is the hash of, as plain JSON values."""
-    sources = entry.sources(settings) if entry.sources else _paths(settings)
     return kinds.plain(
         {
             "stage": entry.name,
             "version": entry.version,
             "config": _without_paths(asdict(settings)),
             "inputs": {need: artifact.digest for need, artifact in inputs.items()},
-            "sources": {name: source_digest(source) for name, source in sources.items()},
+            "sources": {name: source_digest(source) for name, source in _sources(entry, settings).items()},
             "numerics": _numerics(entry.numerics),
         }
     )
+
+
+def _sources(entry: Stage, settings: Any) -> Mapping[str, Source]:
+    return entry.sources(settings) if entry.sources else _paths(settings)
 
 
 def _key(key_fields: Mapping[str, Any]) -> str:

@@ -84,14 +84,27 @@ def _counted(distance: float, margin: float) -> float:
     return near if margin == 0.0 else margin * float(np.floor(near / margin))
 
 
-def require_pairs(pairs: pa.Table, trials: int) -> None:
+def require_pairs(pairs: pa.Table, done: int, trials: int) -> None:
     """Refuse to learn from nothing.
+
+    Args:
+        done: how many of the trials succeeded.
 
     Raises:
         EdreamError: no pair differs by the margin.
     """
-    if not len(pairs):
+    if len(pairs):
+        return
+    if done == trials:
         raise EdreamError(
-            f"None of {trials} trials went better than another of its start by rank.margin; raise rollouts.noise.action or "
-            "rollouts.samples, or lower rank.margin."
+            f"All {trials} trials succeeded, so that there is nothing to learn from them; ask for fewer rounds with rl.rounds, or "
+            "leave more to chance with rollouts.noise.action."
         )
+    mend = (
+        "the supervised policy does not work in the simulator: train it with sft.twins=true or longer, or look at rollouts.eyes"
+        if not done
+        else "raise rollouts.noise.action or rollouts.samples, or lower rank.margin"
+    )
+    raise EdreamError(
+        f"{done} of {trials} trials succeeded, and none went better than another of its start by rank.margin; {mend}."
+    )

@@ -60,7 +60,13 @@ class RlConfig:
     seed: int
 
     def __post_init__(self) -> None:
-        require(self.rl.rounds >= 1, "rl.rounds", self.rl.rounds, "at least 1 for a policy that learned from trials")
+        learned = "at least 1 for a policy that learned from trials; evaluate.of=[sft] judges the supervised one alone"
+        require(self.rl.rounds >= 1, "rl.rounds", self.rl.rounds, learned)
+        seen, eyes = self.policy.cameras, f"for rollouts.eyes={self.rollouts.eyes}"
+        if self.rollouts.eyes in ("composite", "dreamed") and seen is not None:
+            require(len(seen) == 1, "policy.cameras", list(seen), f"one camera {eyes}")
+        if self.rollouts.eyes == "state":
+            require(seen == (), "policy.cameras", "null" if seen is None else list(seen), f"[] {eyes}")
 
 
 def needs(config: RlConfig) -> tuple[str, ...]:
@@ -75,7 +81,7 @@ def run(inputs: Mapping[str, Artifact], config: RlConfig, work: Work) -> Bundle:
     about = PolicyAbout.of(rolled[ABOUT])
     names = sorted(name for name in rolled if name.startswith("trials/"))
     played = Played.of([rolled[name] for name in names], about)
-    require_pairs(ranking["pairs.parquet"], len(played))
+    require_pairs(ranking["pairs.parquet"], rolled["summary.json"]["success"]["successes"], len(played))
     device = device_of(config.policy.device, "policy.device")
     with deterministic():
         against = rolled if catalog.load("preferences", config.policy.rl, Preference).region else inputs["sft"]

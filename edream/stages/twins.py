@@ -46,9 +46,8 @@ class TwinsConfig:
 
 def run(inputs: Mapping[str, Artifact], config: TwinsConfig, work: Work) -> Bundle:
     """Render each episode at its control steps, from the recordings' camera."""
-    if config.render.scene is None or config.rollouts.plate is None:
-        raise EdreamError("sft.twins needs render.scene=PATH, the tracks of the things, and rollouts.plate=PATH, the empty bench.")
-    robot, scene, plate = config.robot.load(), read_scene(config.render.scene), plate_of(config.rollouts.plate)
+    tracks, photo = seen_beside(config)
+    robot, scene, plate = config.robot.load(), read_scene(tracks), plate_of(photo)
     (name, camera), *_ = from_json(inputs["camera"]["cameras.json"], "cameras.json").items()
     episodes = list(stored_episodes(inputs["ingest"]))
     made, cameras, _ = demonstrations(episodes, robot.joints, config.policy, work.folder("images"))
@@ -82,8 +81,20 @@ def run(inputs: Mapping[str, Artifact], config: TwinsConfig, work: Work) -> Bund
     return {**kept, "summary.json": {"sentence": sentence + changed}}
 
 
+def seen_beside(config: TwinsConfig) -> tuple[Path, Path]:
+    """The tracks of the things, and the photo of the empty bench.
+
+    Raises:
+        EdreamError: one of them is not given.
+    """
+    if config.render.scene is None or config.rollouts.plate is None:
+        raise EdreamError("sft.twins needs render.scene=PATH, the tracks of the things, and rollouts.plate=PATH, the empty bench.")
+    return config.render.scene, config.rollouts.plate
+
+
 def sources(config: TwinsConfig) -> Mapping[str, Source]:
-    files = {"scene": config.render.scene, "plate": config.rollouts.plate, "folder": config.twins.folder}
+    scene, plate = seen_beside(config)
+    files = {"scene": scene, "plate": plate, "folder": config.twins.folder}
     return {"robot": config.robot.content()} | {name: path for name, path in files.items() if path is not None}
 
 

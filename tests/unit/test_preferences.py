@@ -101,8 +101,10 @@ def test_the_widest_pairs_are_kept_and_none_at_all_is_a_sentence() -> None:
     pairs = ranked(table, RankOptions(0.01, 1))[1]
     assert [(row["chosen"], row["rejected"]) for row in pairs.to_pylist()] == [(0, 2)]
     none = ranked(outcomes((1, False, 0.1), (1, False, 0.1)), RankOptions())[1]
-    with pytest.raises(EdreamError, match=r"rollouts\.noise\.action"):
-        require_pairs(none, 2)
+    for done, mend in ((0, r"0 of 2 trials.*sft\.twins"), (1, r"1 of 2 trials.*rollouts\.samples"), (2, r"All 2.*rl\.rounds")):
+        with pytest.raises(EdreamError, match=mend):
+            require_pairs(none, done, 2)
+    require_pairs(pairs, 0, 3)
 
 
 def test_wilson_s_interval_is_the_one_in_the_books() -> None:
