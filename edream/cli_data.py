@@ -10,6 +10,7 @@ from omegaconf import DictConfig
 from edream import cli_show, config, pipeline
 
 Write = Callable[[str], object] | None
+SECONDS = 10.0  # a policy's loop runs so long where no task says it
 
 
 def record_robot(cfg: DictConfig, write: Write) -> None:
@@ -36,15 +37,18 @@ def export_episodes(cfg: DictConfig, to: str, out: Path, write: Write) -> None:
 
 def export_policy(cfg: DictConfig, of: str, out: Path, write: Write) -> None:
     """Train a policy where that is not done, then write it as a folder of its own."""
+    from edream import catalog
     from edream.core.errors import EdreamError, unknown_name
+    from edream.core.task import Task
     from edream.practice.bundle import write_bundle
 
     if of not in ("sft", "rl"):
         raise unknown_name("policy", of, ("sft", "rl"))
     if out.exists():
         raise EdreamError(f"There is already something at {out}; --out must name a new folder.")
+    seconds = SECONDS if cfg.task is None else catalog.load("tasks", str(cfg.task), Task).seconds
     made, run = pipeline.make_run("export-policy", (of,), cfg)
-    _print(write_bundle(made[of], out) | {"run": str(run.absolute())}, write)
+    _print(write_bundle(made[of], out, seconds) | {"run": str(run.absolute())}, write)
 
 
 def _print(summary: Mapping[str, Any], write: Write) -> None:

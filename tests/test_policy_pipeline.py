@@ -177,7 +177,10 @@ def test_evaluation_with_four_workers_gives_the_numbers_of_one(made, recorded: P
 
 
 def test_a_bundle_does_what_the_policy_does(made, tmp_path: Path) -> None:
-    write_bundle(made[1]["rl"], tmp_path / "bundle")
+    write_bundle(made[1]["rl"], tmp_path / "bundle", 9.0)
+    loop = (tmp_path / "bundle" / "run_policy.py").read_text()
+    compile(loop, "run_policy.py", "exec")
+    assert "range(round(9 * policy.about.rate))" in loop, "a trial of nine seconds is not cut short"
     policy = RunningPolicy(tmp_path / "bundle")
     image = np.random.default_rng(0).integers(0, 255, (48, 48, 3)).astype(np.uint8)
     first = [policy.act(np.zeros(7), {"cam_high": image}) for _ in range(3)]
@@ -186,12 +189,31 @@ def test_a_bundle_does_what_the_policy_does(made, tmp_path: Path) -> None:
     with pytest.raises(EdreamError, match="cam_high"):
         policy.begin()
         policy.act(np.zeros(7), {"cam_low": image})
+    with pytest.raises(EdreamError, match=r"joint positions have the shape \(6,\).*\(7,\)"):
+        policy.act(np.zeros(6), {"cam_high": image})
+    with pytest.raises(EdreamError, match=r"further numbers have the shape \(9,\)"):
+        policy.act(np.zeros(7), {"cam_high": image}, np.zeros(9))
 
 
-def test_without_a_sealed_truth_the_way_to_a_robot_is_told(recorded: Path, tmp_path: Path) -> None:
-    cfg = settings(recorded, tmp_path / "runs", f"evaluate.truth={tmp_path / 'none.json'}", "evaluate.of=[sft]")
-    with pytest.raises(EdreamError, match="export-policy"):
-        pipeline.make("evaluate", cfg)
+@pytest.mark.parametrize(
+    ("wrong", "told"),
+    [
+        ("evaluate.truth=none.json", "export-policy"),
+        ("rl.rounds=0", r"evaluate\.of=\[sft\]"),
+        ("rl.held=0", r"rl\.held is 0"),
+        ("policy.cameras=[cam_high,cam_side]", "one camera for rollouts.eyes=composite"),
+        ("rollouts.eyes=state", r"policy\.cameras is null; expected \[\]"),
+        ("rollouts.plate=none.png", "nothing at none.png"),
+        ("render.scene=null", "sft.twins needs render.scene"),
+    ],
+)
+def test_what_is_wrong_for_a_late_stage_is_told_before_anything_is_made(
+    recorded: Path, tmp_path: Path, wrong: str, told: str
+) -> None:
+    cfg = settings(recorded, tmp_path / "runs", wrong)
+    with pytest.raises(EdreamError, match=told):
+        pipeline.make_run("train-policy", ("evaluate", "report"), cfg)
+    assert not list(tmp_path.glob("runs/*/*")), "no stage has worked for it"
 
 
 @pytest.mark.slow

@@ -17,6 +17,8 @@ from edream.vision.frames import resized
 LOOP = '''"""Run the policy in this folder on a robot. Fill in the two functions that know your robot, then run it.
 
 Joints and actions are positions [rad, or m for slides] in the order of policy.json ("order"); images are RGB, (H, W, 3) uint8.
+A policy that was trained with policy.objects wants to know where they are, too: let read_robot return, as a third, what
+edream.practice.trial.state_of makes of their poses.
 """
 
 import time
@@ -40,11 +42,11 @@ def command_robot(positions: np.ndarray) -> None:
 policy = RunningPolicy(Path(__file__).parent)
 policy.begin()
 due = time.monotonic()
-for _ in range(int(SECONDS * policy.about.rate)):
+for _ in range(round(SECONDS * policy.about.rate)):  # as long as a trial
     command_robot(policy.act(*read_robot()))
     due += 1.0 / policy.about.rate
     time.sleep(max(0.0, due - time.monotonic()))
-'''.replace("SECONDS", "6")
+'''
 
 
 class RunningPolicy:
@@ -81,9 +83,13 @@ class RunningPolicy:
             state: further numbers, where the policy was trained with them.
 
         Raises:
-            EdreamError: a camera is missing.
+            EdreamError: a camera is missing, or there are other numbers than the policy was trained with.
         """
-        about = self.about
+        about, more = self.about, np.zeros(0) if state is None else np.asarray(state)
+        numbers = (("joint positions", np.asarray(joints), about.shape.actions), ("further numbers", more, about.shape.state))
+        for what, given, size in numbers:
+            if given.shape != (size,):
+                raise EdreamError(f"The {what} have the shape {given.shape}; the policy was trained with {(size,)}.")
         if self._step % about.stride == 0:
             missing = [name for name in about.cameras if name not in images]
             if missing:
@@ -93,22 +99,25 @@ class RunningPolicy:
             size = (about.shape.height, about.shape.width)
             seen = [resized(images[name], *size) for name in about.cameras]
             views = np.stack(seen) if seen else np.zeros((0, *size, 3), np.uint8)
-            more = np.zeros(0) if state is None else state
             with torch.no_grad():
-                chunk = self._network.chunk(about.seen(joints[None], views[None], more[None]))[0].numpy()
+                chunk = self._network.chunk(about.seen(np.asarray(joints)[None], views[None], more[None]))[0].numpy()
             self._plans.add(self._step, about.actions.back(chunk))
         self._step += 1
         return self._plans.action(self._step - 1)
 
 
-def write_bundle(source: Mapping[str, Any], out: Path) -> dict[str, Any]:
-    """Write a policy that a stage made as the new folder `out`."""
+def write_bundle(source: Mapping[str, Any], out: Path, seconds: float) -> dict[str, Any]:
+    """Write a policy that a stage made as the new folder `out`.
+
+    Args:
+        seconds: how long its loop runs, as a trial of its task does.
+    """
     from safetensors.numpy import save_file
 
     out.mkdir(parents=True)
     save_file({name: np.ascontiguousarray(value) for name, value in sorted(source[WEIGHTS].items())}, out / WEIGHTS)
     (out / ABOUT).write_text(json.dumps(source[ABOUT], indent=1, sort_keys=True) + "\n")
-    (out / "run_policy.py").write_text(LOOP)
+    (out / "run_policy.py").write_text(LOOP.replace("SECONDS", f"{seconds:g}"))
     about = source[ABOUT]
     return {
         "sentence": f"The policy lies in {out}: weights, scales and a loop to start from.",

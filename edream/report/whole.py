@@ -26,8 +26,8 @@ COMPARABLE = {
     "predicted, in the paper as here.",
     "evaluate": "Not comparable in size: the paper's rates are means of four tasks on a real Mobile ALOHA, ours are one task of a "
     "make-believe robot. What can be compared is whether trials help.",
-    "together": "The paper's rates are of a real Mobile ALOHA and images of full size, ours of a make-believe robot and the settings "
-    "of these runs. What can be compared is how many times as often a policy succeeds after trials.",
+    "together": "The paper's rates are of a real Mobile ALOHA and images of full size, ours of a make-believe robot and the "
+    "settings of these runs. What can be compared is how many times as often a policy succeeds after trials.",
     "changed": "The paper's augmentation table was not at hand when this page was written, so none of its numbers stand here; it "
     "uses the same change of scene.",
 }
