@@ -6,7 +6,7 @@ NODE := .venv-node
 DEMO := runs/reproduce
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: reproduce policy-tiny policy-table policy-physics dream-tiny bench-dream test slow recovery faults fuzz docs bench-scale bench-calibrate bench-steps check check-lerobot check-mcap blind blind-slice clean
+.PHONY: reproduce policy-tiny policy-seeds policy-table policy-physics dream-tiny bench-dream test slow recovery faults fuzz docs bench-scale bench-calibrate bench-steps check check-lerobot check-mcap blind blind-slice clean
 
 # The whole way on a make-believe robot with an effect hidden in it, at the sizes of conf/experiment/tiny.yaml: an expert's demonstrations and
 # free motions are recorded; calibrated (beside annealing) and diagnosed on the motions; video dreamed and a policy trained on the demonstrations;
@@ -40,14 +40,24 @@ dream-tiny: .venv/ready
 # Fifty demonstrations by an expert on a make-believe robot, its simulator calibrated while a policy is trained on them, which then learns from
 # its own trials; both judged over 200 starts in the stand-in reality. Another robot, other demonstrations: SEED=2 POLICY=runs/policy-tiny-2.
 POLICY ?= runs/policy-tiny
+STORE ?= $(POLICY)/runs
+NAME ?= policy-tiny
 SEED ?= 1
-PRACTICE = robot=arm6_working task=grab_paper_cup data=$(POLICY)/recorded ingest.fps=25 runs=$(POLICY)/runs seed=$(SEED) \
+PRACTICE = robot=arm6_working task=grab_paper_cup data=$(POLICY)/recorded ingest.fps=25 runs=$(STORE) seed=$(SEED) \
   rollouts.eyes=composite sft.twins=true rank.margin=1 camera.file=$(POLICY)/recorded.cameras.json \
   rollouts.plate=$(POLICY)/recorded.plate.png render.scene=$(POLICY)/recorded.scene.json
 policy-tiny: export OMP_NUM_THREADS = 1
 policy-tiny: .venv/ready
-	test -d $(POLICY)/recorded || $(RUN)/edream record robot=arm6 task=grab_paper_cup record.episodes=50 record.out=$(POLICY)/recorded seed=$(SEED)
-	$(RUN)/edream calibrate $(PRACTICE) run=policy-tiny-calibrate & $(RUN)/edream train-policy $(PRACTICE) run=policy-tiny; made=$$?; wait; exit $$made
+	test -f $(POLICY)/recorded.truth.json || { rm -rf $(POLICY)/recorded $(POLICY)/recorded.*; $(RUN)/edream record robot=arm6 task=grab_paper_cup record.episodes=50 record.out=$(POLICY)/recorded seed=$(SEED); }
+	$(RUN)/edream calibrate $(PRACTICE) run=calibrate-$(NAME) & $(RUN)/edream train-policy $(PRACTICE) run=$(NAME); made=$$?; wait; exit $$made
+
+# The same five times from the recording on, with five hidden robots: mean and spread on one page. About 20 minutes each on 2 free cores.
+MANY := runs/policy-seeds
+policy-seeds: $(foreach seed,1 2 3 4 5,policy-seeds-$(seed))
+	$(RUN)/edream report --whole policy-seeds runs=$(MANY)/runs
+
+policy-seeds-%: .venv/ready
+	$(MAKE) policy-tiny SEED=$* POLICY=$(MANY)/$* STORE=$(MANY)/runs NAME=policy-seeds-$*
 
 # The paper's table at the tiny size: four tasks, SFT with three views, SFT with one, RL with one; then the ablation: physics as published,
 # calibrated, and calibrated with the effects that diagnosis found, on a robot that hides three. Hours on 2 cores, but it can be stopped at any
@@ -177,4 +187,4 @@ blind-slice: .venv/ready
 	$(RUN)/python -m pytest -q tests/blind
 
 clean:
-	rm -rf .venv .venv-lerobot .venv-node runs/peers runs/reproduce runs/dream-tiny runs/policy-tiny runs/policy-table
+	rm -rf .venv .venv-lerobot .venv-node runs/peers runs/reproduce runs/dream-tiny runs/policy-tiny runs/policy-seeds runs/policy-table

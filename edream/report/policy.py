@@ -123,7 +123,8 @@ def _ratios(made: Mapping[str, Mapping[str, Any]]) -> Figure | None:
         canvas.legend(loc="outside upper left", ncols=2)
 
     caption = (
-        "Log-likelihood against the supervised policy. The chosen trials should become likelier; a round stops where they do not."
+        "Log-likelihood of what was executed, less that under the reference. Both fall a little, since the reference played the "
+        "trials or is near who did; the rejected should fall further. Under tpo a round stops where the chosen fall by rl.slack."
     )
     return draw("ratios", "Chosen and rejected trials", caption, plot, (5.6, 3.2))
 
