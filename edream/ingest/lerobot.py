@@ -206,7 +206,7 @@ def matrix(column: pa.Array | pa.ChunkedArray, width: int, what: str) -> np.ndar
         kind = column.type
     if not (pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind)):
         raise EdreamError(f"{what} holds {kind}; expected numbers.")
-    flat = column.cast(pa.float64()).to_numpy(zero_copy_only=False)
+    flat = column.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False)  # a broken file's huge integers may round
     if len(flat) != rows * width:
         raise EdreamError(f"{what} has {len(flat)} numbers in {rows} rows; expected {width} a row.")
     return flat.reshape(rows, width)

@@ -7,6 +7,8 @@ from functools import cache
 from pathlib import Path
 
 import h5py
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -92,3 +94,13 @@ def test_a_camera_that_leads_nowhere_is_a_sentence(tmp_path: Path) -> None:
             opened["observations/images/lost"] = h5py.SoftLink("/nowhere")
     found = list(catalog.load("formats", "aloha_hdf5", Format).recordings(path, ReadOptions()))
     assert found and all(isinstance(one, Malformed) and "lost" in one.reason for one in found)
+
+
+def test_an_episode_number_beyond_what_a_double_holds_is_a_sentence(tmp_path: Path) -> None:
+    path = make_sample("lerobot_v3", tmp_path)
+    file = next((path / "data").rglob("*.parquet"))
+    table = pq.read_table(file)
+    huge = pa.array([2**54 + 1] * len(table), pa.int64())
+    pq.write_table(table.set_column(table.schema.get_field_index("episode_index"), "episode_index", huge), file)
+    found = list(catalog.load("formats", "lerobot_v3", Format).recordings(path, ReadOptions()))
+    assert found and all(isinstance(one, Malformed) for one in found)
