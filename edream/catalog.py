@@ -34,7 +34,8 @@ def load(folder: str, name: str, kind: type[T]) -> T:
         TypeError: the file breaks the catalog's rule (a bug, not a user's mistake).
     """
     if name not in names(folder):
-        raise unknown_name(folder.rstrip("s"), name, names(folder))
+        one = f"{folder[:-3]}y" if folder.endswith("ies") else folder.rstrip("s")
+        raise unknown_name(one, name, names(folder))
     entry = importlib.import_module(f"edream.{folder}.{name}").ENTRY
     if not isinstance(entry, kind) or getattr(entry, "name", None) != name:
         raise TypeError(f"edream/{folder}/{name}.py: ENTRY must be a {kind.__name__} whose name is {name!r}, not {entry!r}")

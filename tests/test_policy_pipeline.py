@@ -199,6 +199,10 @@ def test_a_bundle_does_what_the_policy_does(made, tmp_path: Path) -> None:
     ("wrong", "told"),
     [
         ("evaluate.truth=none.json", "export-policy"),
+        ("task=grab_cup", "grab_paper_cup"),
+        ("robot=pan_tilt", "'pan_tilt' has no workcell"),
+        ("policy.rl=tpoo", "tpo_paper"),
+        ("policy.kind=acd", "no policy 'acd'"),
         ("rl.rounds=0", r"evaluate\.of=\[sft\]"),
         ("rl.held=0", r"rl\.held is 0"),
         ("policy.cameras=[cam_high,cam_side]", "one camera for rollouts.eyes=composite"),

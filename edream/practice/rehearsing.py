@@ -8,10 +8,13 @@ from typing import Any, Literal
 
 import numpy as np
 
+from edream import catalog
 from edream.calibration.settings import SpaceSettings, simulated_robot
+from edream.core.bench import bench_of
 from edream.core.camera import from_json
 from edream.core.errors import EdreamError, require
 from edream.core.stage import Source
+from edream.core.task import Task
 from edream.practice.about import PolicyAbout
 from edream.practice.collecting import Shard, split
 from edream.practice.trial import Chance
@@ -80,6 +83,16 @@ def needs_of(options: RolloutOptions) -> tuple[str, ...]:
 def sources_of(options: RolloutOptions) -> dict[str, Source]:
     """Files that trials with these eyes need."""
     return {"plate": options.plate} if options.plate and options.eyes == "composite" else {}
+
+
+def require_task(task: str, robot: RobotModel) -> None:
+    """Refuse a task that does not exist, or a robot that has no workcell to do it in.
+
+    Raises:
+        EdreamError: naming what there is.
+    """
+    catalog.load("tasks", task, Task)
+    bench_of(robot.name)
 
 
 def physics_of(robot: RobotModel, made: Mapping[str, Any] | None, folder: Path) -> Physics:

@@ -20,6 +20,7 @@ from edream.practice.about import ABOUT, WEIGHTS, PolicyAbout
 from edream.practice.collecting import OUTCOMES, Manner, Player, Shard, collected, outcomes_of, split
 from edream.practice.film import episode_of, moving_picture
 from edream.practice.rates import Paired, Rate, apart, paired, rate
+from edream.practice.rehearsing import require_task
 from edream.reality.cell_look import CellLook
 from edream.reality.truth import Truth, unseal
 from edream.reality.workcell import RealWorkcell
@@ -185,8 +186,9 @@ def sources(config: EvaluateConfig) -> Mapping[str, Source]:
     """The robot and the sealed truth.
 
     Raises:
-        EdreamError: the truth is not there, as where the recordings are of a real robot.
+        EdreamError: there is no such task, or the truth is not there, as where the recordings are of a real robot.
     """
+    require_task(config.task, config.robot.load())
     if not config.truth.is_file():
         raise EdreamError(
             f"There is no sealed truth at {config.truth}, so there is no stand-in reality to play in; give evaluate.truth=PATH. "

@@ -60,6 +60,7 @@ class RlConfig:
     seed: int
 
     def __post_init__(self) -> None:
+        catalog.load("preferences", self.policy.rl, Preference)
         learned = "at least 1 for a policy that learned from trials; evaluate.of=[sft] judges the supervised one alone"
         require(self.rl.rounds >= 1, "rl.rounds", self.rl.rounds, learned)
         seen, eyes = self.policy.cameras, f"for rollouts.eyes={self.rollouts.eyes}"

@@ -9,7 +9,7 @@ from edream.practice.about import ABOUT, WEIGHTS, PolicyAbout
 from edream.practice.collecting import TRIALS, Manner, Player, collected, outcomes_of
 from edream.practice.dreaming import eyes_of
 from edream.practice.rates import rate
-from edream.practice.rehearsing import RolloutOptions, cell_of, needs_of, physics_for, shards_of, sources_of
+from edream.practice.rehearsing import RolloutOptions, cell_of, needs_of, physics_for, require_task, shards_of, sources_of
 from edream.vision.variants import DreamOptions
 
 HISTORY = "history.json"
@@ -75,6 +75,7 @@ def run(inputs: Mapping[str, Artifact], config: RolloutsConfig, work: Work) -> B
 
 
 def sources(config: RolloutsConfig) -> Mapping[str, Source]:
+    require_task(config.task, config.robot.load())
     return {"robot": config.robot.content(), **sources_of(config.rollouts)}
 
 

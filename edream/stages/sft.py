@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from torch import nn
 
+from edream import catalog
 from edream.calibration.settings import RobotSettings
 from edream.core.errors import EdreamError
 from edream.core.stage import Artifact, Bundle, Source, Stage, Work
@@ -19,7 +20,7 @@ from edream.learn import ranks
 from edream.learn.checkpoint import fill, weights_digest
 from edream.learn.determinism import deterministic
 from edream.learn.device import device_of
-from edream.learn.policy import FittedPolicy, Seen, masked_l1
+from edream.learn.policy import FittedPolicy, Policy, Seen, masked_l1
 from edream.learn.training import AVERAGE, Ahead, State, new_state, part, train
 from edream.practice.about import ABOUT, WEIGHTS, PolicyAbout
 from edream.practice.demonstrations import ChunkBatches, Demonstration
@@ -35,6 +36,9 @@ class SftConfig:
     policy: PolicyOptions
     sft: SftOptions
     seed: int
+
+    def __post_init__(self) -> None:
+        catalog.load("policies", self.policy.kind, Policy)
 
 
 class Lesson(nn.Module):
