@@ -6,6 +6,7 @@ from statistics import mean, stdev
 from typing import Any
 
 Row = tuple[str, ...]
+SEEN = {"policy.cameras", "sft.twins", "rollouts.eyes"}  # settings by which policies of the paper's own table differ
 
 
 @dataclass(frozen=True)
@@ -32,7 +33,7 @@ def beside(several: Sequence[Evaluated], paper: Mapping[str, float]) -> dict[str
 
     Args:
         several: two evaluations at least.
-        paper: share of successes in the paper, by the beginning of a policy's name; a mean of four tasks.
+        paper: share of successes in the paper, by kind of policy and what it sees; a mean of four tasks.
     """
     names: dict[str, str] = {}
     for one in several:
@@ -82,11 +83,21 @@ def _alone(several: Sequence[Evaluated]) -> str:
     return f" {first} starts were done by {rates[0]['name']} alone, {last} by {rates[-1]['name']} alone."
 
 
+def paper_s(policy: str, name: str, paper: Mapping[str, float]) -> float | None:
+    """What the paper reports of such a policy; None of one that it has not.
+
+    Args:
+        policy: with the settings that it alone has, as `evaluate.of` names it.
+        name: ends with what it sees, such as "1 view".
+        paper: shares by kind and view.
+    """
+    if not {setting.partition("=")[0] for setting in policy.split(" ")[1:]} <= SEEN:
+        return None
+    return paper.get(f"{name.partition(', ')[0]}, {name.rpartition(', ')[2]}")
+
+
 def _theirs(policy: str, name: str, paper: Mapping[str, float]) -> str:
-    """The paper's number beside a policy of its kind, none beside one under settings that the paper has not."""
-    found = next((share for kind, share in paper.items() if name.startswith(kind)), None)
-    if policy not in ("sft", "rl"):
-        found = paper.get("SFT, 3 views") if policy.startswith("sft ") and name.endswith("3 views") else None
+    found = paper_s(policy, name, paper)
     return "–" if found is None else f"{100 * found:.0f}"
 
 

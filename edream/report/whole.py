@@ -8,7 +8,7 @@ from edream.core.stage import Artifact, stage_of
 from edream.report.calibration import by_horizon, by_joint
 from edream.report.overview import ladder
 from edream.report.page import mrad, page, picture, share
-from edream.report.successes import Evaluated, beside
+from edream.report.successes import Evaluated, beside, paper_s
 
 Run = Mapping[str, Artifact]
 Row = Sequence[str]
@@ -16,7 +16,7 @@ SOURCE = "Wang et al., EmbodieDreamer, arXiv:2507.05198, 2025"
 # what the paper reports: RT-1's recordings (calibration, video), a Mobile ALOHA (success, mean of four tasks)
 PAPER_FIT = {"error": 0.2161, "annealing_error": 0.2245, "seconds": 1299.92, "annealing_seconds": 12888.43}
 PAPER_FVD = {"with": 176.27, "without": 422.73}
-PAPER_SUCCESS = {"SFT, 3 views": 0.60, "SFT, 1 view": 0.49, "RL": 0.77}
+PAPER_SUCCESS = {"SFT, 3 views": 0.60, "SFT, 1 view": 0.49, "RL, 1 view": 0.77}
 COMPARABLE = {
     "fit": "Ratios can be compared, with care: robot, recordings and processor differ. The paper fits an arm of RT-1's data; here "
     "whole motions are judged that were never fitted. Annealing has 400 steps on the same loss, as SimplerEnv's.",
@@ -222,11 +222,13 @@ def _success(runs: Sequence[Run]) -> Iterator[dict[str, Any]]:
 def _rate_row(row: Mapping[str, Any], changed: bool) -> Row:
     one = row["success"]
     low, high = one["interval"]
-    views = 3 if "3 views" in row["name"] else 1
-    name = "RL" if row["policy"].startswith("rl") else f"SFT, {views} view{'s' if views > 1 else ''}"
-    plain = not changed and (row["policy"] in ("sft", "rl") or name == "SFT, 3 views")
-    theirs = f"{100 * PAPER_SUCCESS[name]:.0f}" if plain else "–"
-    return row["name"], f"{100 * one['share']:.1f} [{100 * low:.1f}, {100 * high:.1f}]", f"{one['trials']}", theirs
+    theirs = None if changed else paper_s(row["policy"], row["name"], PAPER_SUCCESS)
+    return (
+        row["name"],
+        f"{100 * one['share']:.1f} [{100 * low:.1f}, {100 * high:.1f}]",
+        f"{one['trials']}",
+        _text(theirs and 100 * theirs, ".0f"),
+    )
 
 
 def _config(artifact: Any) -> Mapping[str, Any]:

@@ -39,6 +39,7 @@ def test_the_paper_is_as_large_as_the_paper() -> None:
     cfg = config.compose(["experiment=paper"])
     assert (cfg.render.width, cfg.render.height) == (320, 256) and cfg.dream.frames == 16 and cfg.record.episodes == 50
     assert cfg.robot.name == "cobot" and len(cfg.record.cell.cameras) == 3
+    assert "rollouts.eyes=dreamed" in cfg.evaluate.of[-1], "trials are in the dreamed simulator"
     assert cfg.sft.train.steps * cfg.sft.batch == 1000 * cfg.record.episodes * (1 - cfg.sft.held)
 
 

@@ -3,9 +3,9 @@
 from typing import Any
 
 from edream.practice.rates import rate
-from edream.report.successes import Evaluated, beside
+from edream.report.successes import Evaluated, beside, paper_s
 
-PAPER = {"SFT, 3 views": 0.60, "SFT, 1 view": 0.49, "RL": 0.77}
+PAPER = {"SFT, 3 views": 0.60, "SFT, 1 view": 0.49, "RL, 1 view": 0.77}
 
 
 def row(policy: str, name: str, done: int, trials: int = 100) -> dict[str, Any]:
@@ -53,3 +53,15 @@ def test_a_policy_that_was_not_judged_everywhere_has_no_mean() -> None:
 def test_nothing_is_divided_by_a_policy_that_never_succeeds() -> None:
     table = beside([evaluated("cup", 1, 0, 60), evaluated("pen", 1, 0, 30)], PAPER)
     assert not [cells for cells in table["rows"] if cells[0].startswith("mean /")]
+
+
+def test_the_paper_stands_beside_policies_of_its_kind_alone() -> None:
+    theirs = {
+        "sft": ("SFT, 1 view", 0.49),
+        "sft policy.cameras=[a] sft.twins=false": ("SFT, policy.cameras=[a], sft.twins=false, 1 view", 0.49),
+    }
+    theirs |= {"rl policy.cameras=[a] rollouts.eyes=dreamed": ("RL, policy.cameras=[a], rollouts.eyes=dreamed, 1 view", 0.77)}
+    theirs |= {"rl": ("RL, 3 views", None), "rl rollouts.model=published": ("RL, rollouts.model=published, 1 view", None)}
+    theirs |= {"sft policy.cameras=[]": ("SFT, policy.cameras=[], no camera", None)}
+    for policy, (name, share) in theirs.items():
+        assert paper_s(policy, name, PAPER) == share, policy
