@@ -55,7 +55,7 @@ class PoseObjective:
         """Softened translation and rotation errors, six a row, windows one after the other."""
         values = np.atleast_2d(values)
         self.simulations += len(values) * len(self.windows)
-        simulated = rollout(self.simulated, values, self.windows, self.threads)
+        simulated = rollout(self.simulated.swift, values, self.windows, self.threads)
         return np.stack(
             [
                 np.concatenate([self._error(s[n], *p) for s, p in zip(simulated, self.poses, strict=True)])

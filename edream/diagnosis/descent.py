@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 from scipy.optimize import lsq_linear
 
 from edream.core.parameters import ParameterSpace
-from edream.sim.differences import jacobian, jacobian_along_axes, straight
+from edream.sim.differences import STEP, jacobian, jacobian_along_axes, nearly, straight
 from edream.sim.least_squares import worth
 from edream.sim.objective import Objective, rms
 from edream.sim.rollout import Window
@@ -131,6 +131,7 @@ def descend(fit: Fit, fresh: Bool[np.ndarray, "P"] | None = None, iterations: in
 
     Each step solves the bounded, prior-weighted linear problem; where the whole step brings less than half of what it promised,
     shorter ones are tried too. Columns in `fresh` are differenced anew after each step, the others follow by Broyden's update.
+    Where all are to be fresh, that is done joint by joint, and what a parameter does to other joints follows.
 
     Args:
         fit: where to begin.
@@ -186,13 +187,15 @@ def _tried(fit: Fit, units: Float[np.ndarray, "N P"]) -> list[tuple[float, np.nd
 
 
 def _moved(fit: Fit, unit: np.ndarray, residual: np.ndarray, fresh: np.ndarray | None) -> Fit:
-    columns = np.ones(len(unit), dtype=bool) if fresh is None else fresh
     change = unit - fit.unit
     surprise = residual - fit.residual - fit.jacobian @ change
     jac = fit.jacobian + np.outer(surprise, change) / max(float(change @ change), 1e-12)
-    if columns.any():
-        steps = np.where(unit + 2e-3 <= 1.0, 2e-3, -2e-3)
-        chosen = np.flatnonzero(columns)
+    if fresh is None:
+        own = np.tile(fit.objective.acts_on.T, (len(residual) // fit.objective.acts_on.shape[1], 1))
+        jac = np.where(own, nearly(fit.objective, fit.space, unit, residual), jac)
+    elif fresh.any():
+        steps = np.where(unit + STEP <= 1.0, STEP, -STEP)
+        chosen = np.flatnonzero(fresh)
         moved = fit.objective.residuals(fit.space.from_unit(unit + np.diag(steps)[chosen]))
         jac[:, chosen] = ((moved - residual) / steps[chosen, None]).T
     return replace(fit, unit=unit, residual=residual, jacobian=jac, scale=worth(fit.objective, residual))

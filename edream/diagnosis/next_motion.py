@@ -176,7 +176,7 @@ def _with_slopes(problem: Problem, fit: Fit, windows: Sequence[Window]) -> list[
     root = turn * np.sqrt(np.maximum(size, 0.0))
     steps = 0.05 * root.T
     sets = np.clip(np.vstack([fit.unit, fit.unit + steps]), 0.0, 1.0)
-    results = rollout(fit.objective.simulated, fit.space.from_unit(sets), windows, problem.settings.threads)
+    results = rollout(fit.objective.simulated.swift, fit.space.from_unit(sets), windows, problem.settings.threads)
     flat = [r[:, :: problem.settings.stride, problem.counted].reshape(len(sets), -1) for r in results]
     return [(f[0], (f[1:] - f[0]).T / 0.05) for f in flat]
 

@@ -61,7 +61,7 @@ class Objective:
         """Simulated minus measured positions [rad], windows one after the other, each (time, joint) row by row."""
         values = np.atleast_2d(values)
         self.simulations += len(values) * len(self.windows)
-        simulated = rollout(self.simulated, values, self.windows, self.threads)
+        simulated = rollout(self.simulated.swift, values, self.windows, self.threads)
         parts = [(self._chosen(s) - m).reshape(len(values), -1) for s, m in zip(simulated, self.measured, strict=True)]
         return np.nan_to_num(np.concatenate(parts, axis=1), nan=UNSTABLE_RESIDUAL)
 

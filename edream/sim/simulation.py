@@ -94,10 +94,12 @@ class SimulatedRobot:
     Attributes:
         robot: the published model.
         placements: the effects, written in this order.
+        own_solver: whether constraints are solved as the model says; see `swift`.
     """
 
     robot: RobotModel
     placements: tuple[Placement, ...]
+    own_solver: bool = True
 
     @cached_property
     def space(self) -> ParameterSpace:
@@ -124,15 +126,27 @@ class SimulatedRobot:
             EdreamError: MuJoCo cannot compile it.
         """
         try:
-            return self.spec().compile()
+            model = self.spec().compile()
         except ValueError as error:
             names = ", ".join(placement.effect.name for placement in self.placements)
             raise EdreamError(
                 f"Robot {self.robot.name!r} with {names}: MuJoCo cannot compile it: {' '.join(str(error).split())}"
             ) from error
+        if not self.own_solver and model.opt.solver == mujoco.mjtSolver.mjSOL_NEWTON and _friction_alone(model):
+            model.opt.solver = mujoco.mjtSolver.mjSOL_PGS
+        return model
+
+    @cached_property
+    def swift(self) -> "SimulatedRobot":
+        """The same robot for searches, which simulate it often.
+
+        Where dry friction and joint limits are its only constraints, projected Gauss-Seidel solves them: one number a joint, so it
+        converges in a few sweeps, in about half of Newton's time and closer than Newton's usual tolerance.
+        """
+        return replace(self, own_solver=False)
 
     def with_placements(self, placements: Sequence[Placement]) -> "SimulatedRobot":
-        return SimulatedRobot(self.robot, tuple(placements))
+        return replace(self, placements=tuple(placements))
 
     @cached_property
     def _names(self) -> list[list[str]]:
@@ -164,6 +178,22 @@ class SimulatedRobot:
                 numbers[name] = column
             out.append(numbers)
         return out
+
+
+def _friction_alone(model: mujoco.MjModel) -> bool:
+    """Whether nothing can ever constrain a model but dry friction in its joints and their limits."""
+    return not (model.neq or model.ntendon or model.npair) and not _may_touch(model)
+
+
+def _may_touch(model: mujoco.MjModel) -> bool:
+    """Whether MuJoCo would look for a contact between any two geoms: of bodies that move, and not of a parent and its child."""
+    first, second = np.triu_indices(model.ngeom, 1)
+    body = model.body_weldid[model.geom_bodyid]
+    kind, affinity = model.geom_contype, model.geom_conaffinity
+    parent = model.body_weldid[model.body_parentid[body]]
+    related = (body[first] == body[second]) | ((parent[first] == body[second]) & (body[second] != 0))
+    related |= (parent[second] == body[first]) & (body[first] != 0)
+    return bool((((kind[first] & affinity[second]) | (kind[second] & affinity[first])) != 0)[~related].any())
 
 
 def _factors(scaling: Scaling, conditions: Sequence[Mapping[str, float]]) -> np.ndarray:
