@@ -57,7 +57,7 @@ def beside(several: Sequence[Evaluated], paper: Mapping[str, float]) -> dict[str
     return {
         "heads": ("success [%], Wilson's 95 % interval", *names.values()),
         "rows": rows,
-        "sentence": f"Mean of {what}: {told or 'no policy was judged in all of them'}.{_alone(several)}",
+        "sentence": f"Mean of {what}: {told or 'no policy was judged in all of them'}{_times(whole)}.{_alone(several)}",
     }
 
 
@@ -71,6 +71,14 @@ def _cell(one: Evaluated, policy: str) -> str:
             low, high = row["success"]["interval"]
             return f"{_percent(row['success']['share'])} [{_percent(low)}, {_percent(high)}]"
     return "–"
+
+
+def _times(whole: Mapping[str, Sequence[float]]) -> str:
+    """How many times as often the last policy succeeds as the supervised one."""
+    last = list(whole)[-1] if whole else "sft"
+    if last == "sft" or mean(whole.get("sft", [0.0])) == 0.0:
+        return ""
+    return f", {_ratio(whole[last], whole['sft'])} times as often"
 
 
 def _alone(several: Sequence[Evaluated]) -> str:

@@ -45,16 +45,17 @@ def whole_page(runs: Mapping[str, Run], hidden: Sequence[str], robot: str) -> st
     about: dict[str, list[Run]] = {name: [] for name in ABOUT}
     for run in runs.values():
         about[next(name for name in ABOUT if name in run)].append(run)
+    table = list(_together(about["evaluate"]))
     parts = [
         *(_calibration(run) for run in about["fit"]),
         *(_diagnosis(run, hidden) for run in about["diagnose"]),
         *(_video(run) for run in about["score"]),
-        *_together(about["evaluate"]),
-        *_success(about["evaluate"]),
+        *table,
+        *_success(about["evaluate"], bool(table)),
     ]
     content = {
         "title": f"{robot}, from recordings to a policy",
-        "sentence": " ".join(part["short"] for part in parts),
+        "sentence": " ".join(part["short"] for part in parts if part["short"]),
         "tiles": [tile for part in parts for tile in part["tiles"]],
         "parts": parts,
         "source": SOURCE,
@@ -197,24 +198,30 @@ def _together(runs: Sequence[Run]) -> Iterator[dict[str, Any]]:
         }
 
 
-def _success(runs: Sequence[Run]) -> Iterator[dict[str, Any]]:
-    """How often policies succeed; and, where some learned with changed scenes, on which scene."""
+def _success(runs: Sequence[Run], together: bool) -> Iterator[dict[str, Any]]:
+    """How often policies succeed; and, where some learned with changed scenes, on which scene.
+
+    Args:
+        together: whether they stand in one table already, whose sentence is told for them.
+    """
     for run in runs:
         summary = run["evaluate"]["summary.json"]
         paper = _config(run["evaluate"])["evaluate"]["paper"]
         changed = paper != "none"
         rows = [_rate_row(row, changed) for row in summary["rates"]]
         last = summary["rates"][-1]
+        told = f"{summary['task']}{', paper on the table' if changed else ''}"
+        short = f"{told}: {last['name']} {100 * last['success']['share']:.0f} %."
         where = f"with a sheet of A4 paper on the table ({paper})" if changed else "on the scene of the demonstrations"
         yield {
             "name": f"{summary['task']}: {'augmentation, the scene is changed' if changed else 'supervised, then by trials'}",
             "sentence": f"{summary['sentence']} {where[0].upper()}{where[1:]}.",
-            "short": f"{summary['task']}{', paper' if changed else ''}: {last['name']} {100 * last['success']['share']:.0f} %.",
+            "short": "" if together and not changed else short,
             "heads": ("", "ours [%], Wilson's 95 % interval", "trials", "paper's [%]"),
             "rows": rows,
             "times": [],
             "comparable": COMPARABLE["changed" if changed else "evaluate"],
-            "tiles": [("success, paper on the table" if changed else "success", f"{100 * last['success']['share']:.0f}", "%")],
+            "tiles": [(f"success, {told}", f"{100 * last['success']['share']:.0f}", "%")],
             "figures": [],
         }
 

@@ -28,6 +28,7 @@ def test_tasks_stand_below_one_another_with_their_mean_and_how_many_times_the_su
     assert found(table, "cup")[2].startswith("60.0 [50.2, ")
     assert found(table, "mean of 2 tasks")[1:] == ("30.0", "42.0") and found(table, "mean / mean of SFT")[1:] == ("1.00", "1.40")
     assert found(table, "paper")[1:] == ("49", "77")
+    assert "RL, 1 view 42.0 %, 1.40 times as often." in table["sentence"]
     assert table["sentence"].endswith("5 starts were done by SFT, 1 view alone, 29 by RL, 1 view alone.")
     assert not [cells for cells in table["rows"] if cells[0].startswith("spread")], "tasks differ for other reasons than chance"
 
@@ -52,7 +53,7 @@ def test_a_policy_that_was_not_judged_everywhere_has_no_mean() -> None:
 
 def test_nothing_is_divided_by_a_policy_that_never_succeeds() -> None:
     table = beside([evaluated("cup", 1, 0, 60), evaluated("pen", 1, 0, 30)], PAPER)
-    assert not [cells for cells in table["rows"] if cells[0].startswith("mean /")]
+    assert not [cells for cells in table["rows"] if cells[0].startswith("mean /")] and "times" not in table["sentence"]
 
 
 def test_the_paper_stands_beside_policies_of_its_kind_alone() -> None:
