@@ -20,6 +20,7 @@ from mujoco import batch
 
 from edream.core.effect import Effect
 from edream.core.errors import EdreamError
+from edream.core.parameters import Parameter
 from edream.diagnosis.candidates import Candidate, groups_of, library, placement, rounds
 from edream.diagnosis.descent import Fit
 from edream.diagnosis.problem import Problem
@@ -32,6 +33,7 @@ ENOUGH = 60.0  # s of motion that a score test needs
 Unexplained = Callable[[Float[np.ndarray, "N R"]], Float[np.ndarray, "N"]]
 log = logging.getLogger(__name__)
 LARGEST_ALPHA = 20.0
+WIDE, CLOSE = (0.5, 1.0, 1.8), (0.5, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2, 1.35, 1.8)  # sizes of a candidate; of a limit, all logarithms
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,10 +210,11 @@ def _own_rows(problem: Problem, fit: Fit, candidate: Candidate) -> tuple[np.ndar
 
 
 def confirm(problem: Problem, fit: Fit, scored: Scored, unexplained: Unexplained, total: float) -> Scored | None:
-    """A candidate alone, simulated at three sizes around where the score test puts it; None where nothing helps."""
+    """A candidate alone, simulated at some sizes around where the score test puts it; None where nothing helps."""
     place = placement(problem, scored.candidate)
     extended, absent = extend(fit, [place])
-    starts = [s for factor in (0.5, 1.0, 1.8) if (s := scaled_probe(place, problem, scored.start, factor)) is not None]
+    limits = any(is_limit(parameter) for parameter in place.effect.parameters(problem.robot.model, place.targets))
+    starts = [s for factor in (CLOSE if limits else WIDE) if (s := scaled_probe(place, problem, scored.start, factor)) is not None]
     if not starts:
         return None
     left = unexplained(extended.residuals(np.array([with_quantities(extended, absent, [place], [start]) for start in starts])))
@@ -246,6 +249,11 @@ def with_quantities(
     return values
 
 
+def is_limit(parameter: Parameter) -> bool:
+    """Whether a quantity is absent where it is large, and does nothing until a motion reaches it."""
+    return parameter.scale == "log" and parameter.absent is not None and 0.0 < parameter.absent < np.inf
+
+
 def scaled_probe(place: Placement, problem: Problem, probe: Mapping[str, float], factor: float) -> dict[str, float] | None:
     """A probe made `factor` times as strong, inside the box; None where that would take it out on the absent side."""
     out = dict(probe)
@@ -256,7 +264,10 @@ def scaled_probe(place: Placement, problem: Problem, probe: Mapping[str, float],
             continue
         if np.isinf(parameter.absent) or parameter.name not in probe:
             continue
-        value = parameter.absent + factor * (probe[parameter.name] - parameter.absent)
+        if is_limit(parameter):  # from far above the motions down by ratios
+            value = parameter.absent * (probe[parameter.name] / parameter.absent) ** factor
+        else:
+            value = parameter.absent + factor * (probe[parameter.name] - parameter.absent)
         out[parameter.name] = float(np.clip(value, parameter.low, parameter.high))
         moved |= abs(out[parameter.name] - parameter.absent) > 1e-9
     return out if moved else None

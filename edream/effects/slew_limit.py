@@ -30,7 +30,8 @@ class SlewLimit(Effect):
         return (Parameter("speed", "rad/s", 0.05, NONE, NONE, absent=NONE, scale="log"),)
 
     def probes(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[dict[str, float], ...]:
-        return tuple({"speed": speed} for speed in (0.3, 0.8, 2.0))
+        # close to each other: a limit does nothing above the speeds of a command
+        return tuple({"speed": float(speed)} for speed in np.geomspace(0.2, 6.4, 12))
 
     def edit(self, spec: mujoco.MjSpec, target: str) -> None:
         actuator = as_pid(spec, target)

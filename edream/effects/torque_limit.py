@@ -36,7 +36,9 @@ class TorqueLimit(Effect):
 
     def probes(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[dict[str, float], ...]:
         torque, inside = self.parameters(model, targets)
-        return tuple({"torque": min(a * largest(model, targets), torque.high), "inside": inside.start} for a in (0.3, 0.6, 1.0))
+        # close to each other: a limit does nothing above the torques of a motion and stops it below them
+        limits = np.geomspace(0.2, 3.2, 13) * largest(model, targets)
+        return tuple({"torque": min(limit, torque.high), "inside": inside.start} for limit in limits)
 
     def edit(self, spec: mujoco.MjSpec, target: str) -> None:
         actuator = servo(spec, target)

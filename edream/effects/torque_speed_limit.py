@@ -1,6 +1,7 @@
 """A motor whose torque falls with its speed."""
 
 from collections.abc import Sequence
+from itertools import product
 from typing import Any
 
 import mujoco
@@ -49,8 +50,9 @@ class TorqueSpeedLimit(Effect):
 
     def probes(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[dict[str, float], ...]:
         torque, (most, _, inside) = largest(model, targets), self.parameters(model, targets)
-        pairs = ((0.5 * torque, 5.0), (torque, 2.0), (4.0 * torque, 2.0), (most.high, 2.0))
-        return tuple({"stall": min(limit, most.high), "speed": speed, "inside": inside.start} for limit, speed in pairs)
+        # close to each other, as those of a torque limit
+        pairs = product((torque, 2.0 * torque, most.high), np.geomspace(0.8, 10.0, 7))
+        return tuple({"stall": min(limit, most.high), "speed": float(speed), "inside": inside.start} for limit, speed in pairs)
 
     def write(self, fields: Fields, target: str, values: Values) -> None:
         share_damping(fields, target, values["inside"])

@@ -20,6 +20,8 @@ from edream.diagnosis.problem import Problem, Settings, measurement_noise, nuisa
 from edream.diagnosis.rough import rough_candidates, searched
 from edream.diagnosis.screen import ENOUGH, Scored, extend, finalists, fits_beside, screen, thinned, waves, with_quantities
 from edream.diagnosis.verdict import Named, is_strange, judge, sentence
+from edream.reality.recorder import Recorder, make_recordings
+from edream.reality.truth import draw as draw_truth
 from edream.sim.rollout import rollout
 from edream.sim.simulation import SimulatedRobot
 
@@ -196,6 +198,19 @@ def test_two_probes_a_quarter_turn_apart_find_a_wave_of_any_phase(phase: float) 
     assert probe["periods"] == 10.0 and probe["phase"] == pytest.approx(phase, abs=0.2)
     assert float(change @ hidden) > 0.99 * np.linalg.norm(change) * np.linalg.norm(hidden)
     assert abs(float(away @ hidden)) < 0.3 * np.linalg.norm(away) * np.linalg.norm(hidden)
+
+
+@pytest.mark.parametrize("seed", [21, 22])
+def test_the_score_test_points_at_a_torque_limit_far_below_where_a_servo_has_none(seed: int) -> None:
+    robot = robot_of("pan_tilt")
+    assert robot is not None
+    truth = draw_truth(robot, ("torque_saturation",), np.random.default_rng(seed), 0.3, ())
+    made = make_recordings(robot, truth, seed, 6, 5.0, Recorder())
+    episodes = [Episode(r.name, robot.joints, r.times, r.position, r.command_times, r.command) for r in made]
+    looked_at = prepare(robot, episodes, Settings(effects=("torque_limit", "quadratic_drag", "load_friction", "stribeck")))
+    first = screen(looked_at, fit_nuisance(looked_at))[0]
+    assert (first.candidate.effect, first.candidate.targets) == ("torque_limit", truth.effects[0].targets)
+    assert first.start["torque"] == pytest.approx(truth.effects[0].values["torque"], rel=0.2)
 
 
 def test_play_in_a_gear_is_found_by_a_search_where_the_usual_numbers_have_made_up_for_it() -> None:
