@@ -142,6 +142,7 @@ def _panels(clouds: Sequence[_Cloud], titles: Sequence[str], x: str, y: str) -> 
             axis.axhline(0.0, color=COMMAND, linewidth=0.8)
             axis.set_title(title)
             axis.set_xlabel(x)
+            axis.locator_params(axis="x", nbins=4)
         axes[0].set_ylim(*_limits(clouds))
         axes[0].set_ylabel(y)
         for colour, label in ((UP, "moving up"), (DOWN, "moving down")):

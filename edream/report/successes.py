@@ -91,7 +91,7 @@ def _alone(several: Sequence[Evaluated]) -> str:
     return f" {first} starts were done by {rates[0]['name']} alone, {last} by {rates[-1]['name']} alone."
 
 
-def paper_s(policy: str, name: str, paper: Mapping[str, float]) -> float | None:
+def papers_share(policy: str, name: str, paper: Mapping[str, float]) -> float | None:
     """What the paper reports of such a policy; None of one that it has not.
 
     Args:
@@ -105,7 +105,7 @@ def paper_s(policy: str, name: str, paper: Mapping[str, float]) -> float | None:
 
 
 def _theirs(policy: str, name: str, paper: Mapping[str, float]) -> str:
-    found = paper_s(policy, name, paper)
+    found = papers_share(policy, name, paper)
     return "–" if found is None else f"{100 * found:.0f}"
 
 

@@ -8,7 +8,7 @@ from edream.core.stage import Artifact, stage_of
 from edream.report.calibration import by_horizon, by_joint
 from edream.report.overview import ladder
 from edream.report.page import mrad, page, picture, share
-from edream.report.successes import Evaluated, beside, paper_s
+from edream.report.successes import Evaluated, beside, papers_share
 
 Run = Mapping[str, Artifact]
 Row = Sequence[str]
@@ -229,7 +229,7 @@ def _success(runs: Sequence[Run], together: bool) -> Iterator[dict[str, Any]]:
 def _rate_row(row: Mapping[str, Any], changed: bool) -> Row:
     one = row["success"]
     low, high = one["interval"]
-    theirs = None if changed else paper_s(row["policy"], row["name"], PAPER_SUCCESS)
+    theirs = None if changed else papers_share(row["policy"], row["name"], PAPER_SUCCESS)
     return (
         row["name"],
         f"{100 * one['share']:.1f} [{100 * low:.1f}, {100 * high:.1f}]",

@@ -3,7 +3,7 @@
 from typing import Any
 
 from edream.practice.rates import rate
-from edream.report.successes import Evaluated, beside, paper_s
+from edream.report.successes import Evaluated, beside, papers_share
 
 PAPER = {"SFT, 3 views": 0.60, "SFT, 1 view": 0.49, "RL, 1 view": 0.77}
 
@@ -65,4 +65,4 @@ def test_the_paper_stands_beside_policies_of_its_kind_alone() -> None:
     theirs |= {"rl": ("RL, 3 views", None), "rl rollouts.model=published": ("RL, rollouts.model=published, 1 view", None)}
     theirs |= {"sft policy.cameras=[]": ("SFT, policy.cameras=[], no camera", None)}
     for policy, (name, share) in theirs.items():
-        assert paper_s(policy, name, PAPER) == share, policy
+        assert papers_share(policy, name, PAPER) == share, policy
