@@ -14,6 +14,7 @@ from edream.diagnosis.left_out import bootstrap, far_off, is_brief, left_out_err
 from edream.diagnosis.problem import Problem
 from edream.diagnosis.rough import rough_candidates, searched
 from edream.diagnosis.screen import Scored, extend, scaled_probe, screen, unexplained_by, with_quantities
+from edream.sim.differences import STEP
 from edream.sim.least_squares import worth
 from edream.sim.objective import Objective, rms
 from edream.sim.simulation import Placement
@@ -137,9 +138,8 @@ def arrived(problem: Problem, before: Fit, taken: Trial) -> Fit:
     """
     fit = descend(replace(taken.fit, scale=worth(taken.fit.objective, taken.fit.residual)), None, 4)
     place = placement(problem, taken.candidate)
-    strong = [scaled_probe(place, problem, probe, STRONG) for probe in probes_of(problem, place)]
     extended, absent = extend(before, [place])
-    sets = [with_quantities(extended, absent, [place], [shape]) for shape in strong if shape is not None]
+    sets = [with_quantities(extended, absent, [place], [shape]) for shape in strong_probes(problem, place)]
     if fit.rms <= SHAPED * problem.floor or len(sets) < 2:
         return fit
     residuals = extended.residuals(np.array(sets))
@@ -225,8 +225,7 @@ def bold_starts(
     problem: Problem, place: Placement, scored: Scored, extended: Objective, absent: Float[np.ndarray, "P"]
 ) -> list[Float[np.ndarray, "P"]]:
     """Parameter sets: where the score test says, and strong versions; each also with little of the friction it may replace."""
-    strong = [scaled_probe(place, problem, probe, STRONG) for probe in probes_of(problem, place)]
-    quantities = [scored.start, *(s for s in strong[:4] if s is not None)]
+    quantities = [scored.start, *strong_probes(problem, place)[:4]]
     starts = [with_quantities(extended, absent, [place], [one]) for one in quantities]
     friction = np.array([name.startswith("coulomb.") for name in extended.simulated.space.names])
     return [*starts, *(np.where(friction, 0.2 * start, start) for start in starts if friction.any())]
@@ -300,6 +299,12 @@ def probes_of(problem: Problem, place: Placement) -> Sequence[Mapping[str, float
     return place.effect.probes(problem.robot.model, place.targets)
 
 
+def strong_probes(problem: Problem, place: Placement) -> list[dict[str, float]]:
+    """The probes made strong, inside the box; those that end in the same corner of it count once."""
+    scaled = [scaled_probe(place, problem, probe, STRONG) for probe in probes_of(problem, place)]
+    return [one for i, one in enumerate(scaled) if one is not None and one not in scaled[:i]]
+
+
 def judged(problem: Problem, fit: Fit, errors: Float[np.ndarray, "M"], scored: Scored | Trial) -> Trial:
     """A refitted candidate on motions left out, against `errors` without it."""
     left = left_out_errors(problem, fit)
@@ -318,7 +323,7 @@ def with_column(fit: Fit, extended: Objective, start: Float[np.ndarray, "P"]) ->
     space = extended.simulated.space
     unit = np.clip(space.to_unit(start), 0.0, 1.0)
     new = np.flatnonzero(fresh_columns(fit, extended))
-    steps = np.where(unit + 2e-3 <= 1.0, 2e-3, -2e-3)
+    steps = np.where(unit + STEP <= 1.0, STEP, -STEP)
     residuals = extended.residuals(space.from_unit(np.vstack([unit, unit + np.diag(steps)[new]])))
     columns = ((residuals[1:] - residuals[0]) / steps[new, None]).T
     return Fit(extended, unit, residuals[0], np.hstack([fit.jacobian, columns]), worth(extended, residuals[0]))

@@ -33,7 +33,7 @@ ENOUGH = 60.0  # s of motion that a score test needs
 Unexplained = Callable[[Float[np.ndarray, "N R"]], Float[np.ndarray, "N"]]
 log = logging.getLogger(__name__)
 LARGEST_ALPHA = 20.0
-WIDE, CLOSE = (0.5, 1.0, 1.8), (0.5, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2, 1.35, 1.8)  # sizes of a candidate; of a limit, all logarithms
+WIDE, CLOSE = (0.5, 1.0, 1.8), (0.5, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2, 1.35, 1.8)  # sizes tried of an effect; of a limit
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,7 +251,7 @@ def with_quantities(
 
 def is_limit(parameter: Parameter) -> bool:
     """Whether a quantity is absent where it is large, and does nothing until a motion reaches it."""
-    return parameter.scale == "log" and parameter.absent is not None and 0.0 < parameter.absent < np.inf
+    return parameter.scale == "log" and parameter.absent == parameter.high
 
 
 def scaled_probe(place: Placement, problem: Problem, probe: Mapping[str, float], factor: float) -> dict[str, float] | None:

@@ -182,7 +182,7 @@ class SimulatedRobot:
 
 def _friction_alone(model: mujoco.MjModel) -> bool:
     """Whether nothing can ever constrain a model but dry friction in its joints and their limits."""
-    return not (model.neq or model.ntendon or model.npair) and not _may_touch(model)
+    return not (model.neq or model.ntendon or model.npair or model.nflex) and not _may_touch(model)
 
 
 def _may_touch(model: mujoco.MjModel) -> bool:
