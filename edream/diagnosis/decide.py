@@ -30,6 +30,7 @@ AS_WELL = 0.95  # of the share that an effect closes: its special case closes as
 DISTINCT = 0.5  # of the floor squared, or of the error where that is larger
 SERIOUS_SHARE = 0.01
 STRONG = 5.0  # probes
+HALF = 0.5  # of the gap: a candidate that closes less of a real one may be a stand-in
 REAL_GAP = 1.8  # how many floors of left-out error are a gap worth a name
 
 
@@ -238,8 +239,10 @@ def with_rough(
     trials: Sequence[Trial],
     done: Callable[[int], object] = lambda n: None,
 ) -> list[Trial]:
-    """The trials; where none passes and the gap is real, also the effects that no descent finds."""
-    if any(passes(problem, t) for t in trials) or float(np.sqrt(errors.mean())) < REAL_GAP * problem.floor:
+    """The trials; where none that passes closes as much as half of a real gap, also the effects that no descent finds."""
+    best = next((t for t in trials if passes(problem, t)), None)
+    left = errors if best is None else best.errors
+    if float(np.sqrt(left.mean())) < REAL_GAP * problem.floor or (best is not None and best.closed >= HALF):
         return list(trials)
     more = []
     for candidate in rough_candidates(problem, fit):

@@ -13,13 +13,14 @@ DRAWS = 4000
 SMALL, FAR = 10, 20.0  # at most so many numbers and a gap of so many floors: every refit starts from several places
 BRIEF = 120.0  # s of motion, up to which trying is cheap
 LENGTHS = (1.0, 0.5, 0.2, 0.0)  # of a step
+ASTRAY = 1.5  # times the fit's own error: a motion left out that is so much worse may say more about the step than about the model
 
 
 def left_out_errors(problem: Problem, fit: Fit) -> Float[np.ndarray, "M"]:
     """Mean squared error [rad^2] of each fitted motion when its fold is left out of the last step of the fit, (M,).
 
     The fit has arrived, so leaving a fold out moves it by one Gauss-Newton step over the other folds; the fold is then simulated at
-    the values that never saw it.
+    the values that never saw it. Where that makes it much worse than it is in the fit, shorter steps are tried, too.
     """
     windows = fit.objective.windows
     fold = np.random.default_rng([problem.settings.seed, 11]).permutation(len(windows)) % min(FOLDS, len(windows))
@@ -30,7 +31,8 @@ def left_out_errors(problem: Problem, fit: Fit) -> Float[np.ndarray, "M"]:
         rows = ~np.isin(fit.objective.owner, np.flatnonzero(fold == fold[number]))
         sets.append(fit.space.from_unit(np.clip(fit.unit + step_from(fit, rows), 0.0, 1.0)))
     simulated = rollout_each(fit.objective.simulated, np.array(sets).reshape(len(windows), -1), windows, problem.settings.threads)
-    return np.array([_mean_square(s, w.measured, problem.counted) for s, w in zip(simulated, windows, strict=True)])
+    errors = np.array([_mean_square(s, w.measured, problem.counted) for s, w in zip(simulated, windows, strict=True)])
+    return errors if errors.mean() <= (ASTRAY * fit.rms) ** 2 else _left_out_carefully(fit, fold)
 
 
 def _left_out_carefully(fit: Fit, fold: np.ndarray) -> Float[np.ndarray, "M"]:

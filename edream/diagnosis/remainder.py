@@ -24,8 +24,8 @@ from edream.diagnosis.screen import Projection, extend
 from edream.sim.scales import torque_scale
 from edream.sim.simulation import Placement
 
-BUMPS = 8
-MOST_TERMS = 6
+BUMPS = 16
+MOST_TERMS = 8
 SMALLEST_GAIN = 0.03  # share of the residual that a further term must explain
 FEATURES = (
     "constant",

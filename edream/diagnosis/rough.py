@@ -29,10 +29,10 @@ def rough_candidates(problem: Problem, fit: Fit) -> list[Candidate]:
 
 
 def searched(problem: Problem, fit: Fit, candidate: Candidate) -> Fit:
-    """The fit with a rough effect on one joint, begun at the centres of that joint's priors, which have not yet made up for it.
+    """The fit with a rough effect on one joint, its nuisance numbers begun at the centres of their priors, which have not made up for it.
 
-    The centres are the published numbers where those are credible. CMA-ES over the joint's own numbers on a few motions, then a
-    descent of all numbers on all motions.
+    The centres are the published numbers where those are credible; effects found before stay as they are. CMA-ES over the
+    joint's own numbers on a few motions, then a descent of all numbers on all motions.
     """
     place = placement(problem, candidate)
     extended, absent = extend(fit, [place])
@@ -40,7 +40,7 @@ def searched(problem: Problem, fit: Fit, candidate: Candidate) -> Fit:
     own = np.array([candidate.targets[0] in name.partition("[")[2].rstrip("]").split("+") for name in space.names])
     probes = place.effect.probes(problem.robot.model, candidate.targets)
     sets = np.array([with_quantities(extended, absent, [place], [probe]) for probe in probes])
-    usual = own & (np.arange(len(space)) < len(fit.unit))
+    usual = own & np.array([name.partition(".")[0] in problem.settings.nuisance for name in space.names])
     sets[:, usual] = space.start()[usual]
     units = np.clip(space.to_unit(sets), 0.0, 1.0)
     start = units[int(np.argmin([rms(r) for r in few.residuals(space.from_unit(units))]))]

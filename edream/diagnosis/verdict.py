@@ -24,7 +24,7 @@ from edream.sim.simulation import unit_at
 ALIKE = 0.9  # a rival that closes this share of what the winner closes may be the true one
 STRANGE = (0.68, 1.35)  # times its published value: a nuisance number below or above is an effect itself, 30 % off is usual
 CLOSED = 0.9  # share of the gap, in root-mean-square error, from which what is left is not worth a formula
-ENOUGH = 0.5  # share of the gap that named effects must close, or what is left has no name
+ENOUGH = 0.5  # share of the squared gap that named effects must close, or what is left has no name
 
 Verdict = Literal["named", "none", "cannot_tell", "unnamed"]
 
@@ -112,7 +112,8 @@ def diagnose(problem: Problem, done: Callable[[str, int], object] = lambda text,
         effects = with_suspects(problem, numbers, suspects)
     remainder = unexplained(problem, before, fit, rounds, trials)
     done("remainder", 1)
-    verdict = judge(effects, remainder, gap=max(rms(np.sqrt(rounds[0].errors)), rms(ladder[1][1])) / problem.floor)
+    gap = max(rms(np.sqrt(rounds[0].errors)), rms(ladder[1][1])) / problem.floor
+    verdict = judge(effects, remainder, gap, falls_short(problem, rounds, trials))
     if remainder is not None:
         fit = remainder.fit
         effects = [one for one in effects if remainder.beside_names]
@@ -246,7 +247,7 @@ def unexplained(problem: Problem, before: Fit, fit: Fit, rounds: Sequence[Round]
         beside = find_remainder(problem, fit, beside_names=bool(trials))
         if beside is not None and beside.real:
             left = float(beside.errors.mean())
-            if not trials or (start - end) / (start - floor) < ENOUGH or left - floor < 0.5 * (end - floor):
+            if not trials or falls_short(problem, rounds, trials) or left - floor < 0.5 * (end - floor):
                 return beside
     if not trials or (closed and len(trials) < 2):
         return None
@@ -257,9 +258,24 @@ def unexplained(problem: Problem, before: Fit, fit: Fit, rounds: Sequence[Round]
     return alone if better > 0.0 and float(alone.errors.mean()) - floor < 0.5 * (end - floor) else None
 
 
-def judge(effects: Sequence[Named], remainder: Remainder | None, gap: float) -> Verdict:
-    """The verdict that the evidence allows; `gap` is the error on motions that were not fitted, in floors."""
-    if remainder is not None:
+def falls_short(problem: Problem, rounds: Sequence[Round], trials: Sequence[Trial]) -> bool:
+    """Whether the named effects close less than half of a real gap and leave one: then what is missing has not been found."""
+    if not trials:
+        return False
+    start, end, floor = float(rounds[0].errors.mean()), float(trials[-1].errors.mean()), problem.floor**2
+    return end > REAL_GAP**2 * floor and start - end < ENOUGH * (start - floor)
+
+
+def judge(effects: Sequence[Named], remainder: Remainder | None, gap: float, short: bool) -> Verdict:
+    """The verdict that the evidence allows.
+
+    Args:
+        effects: what was found.
+        remainder: a formula for what has no name, if one holds.
+        gap: the error on motions that were not fitted, in floors.
+        short: whether the effects leave most of the gap open.
+    """
+    if remainder is not None or short:
         return "unnamed"
     if not effects:
         return "unnamed" if gap > REAL_GAP else "none"

@@ -131,4 +131,4 @@ def summary(found: Diagnosis, bundle: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-ENTRY = Stage("diagnose", 11, ("ingest",), DiagnoseConfig, run, sources, ("mujoco", "numpy", "scipy"))
+ENTRY = Stage("diagnose", 12, ("ingest",), DiagnoseConfig, run, sources, ("mujoco", "numpy", "scipy"))

@@ -12,14 +12,15 @@ from edream.core.episode import Episode
 from edream.core.errors import EdreamError
 from edream.core.parameters import Parameter
 from edream.diagnosis.candidates import Candidate, groups_of, placement
-from edream.diagnosis.decide import Trial, comes_down_to, rivals, simplest
-from edream.diagnosis.descent import Fit, begin
+from edream.diagnosis.decide import Round, Trial, comes_down_to, rivals, simplest
+from edream.diagnosis.descent import Fit, begin, descend
+from edream.diagnosis.left_out import left_out_errors
 from edream.diagnosis.next_motion import as_window, draw, room_of, separations, suggest
 from edream.diagnosis.nuisance import fit_nuisance, published
 from edream.diagnosis.problem import Problem, Settings, measurement_noise, nuisance_placements, prepare
 from edream.diagnosis.rough import rough_candidates, searched
 from edream.diagnosis.screen import ENOUGH, Scored, extend, finalists, fits_beside, screen, thinned, waves, with_quantities
-from edream.diagnosis.verdict import Named, is_strange, judge, sentence
+from edream.diagnosis.verdict import Named, falls_short, is_strange, judge, sentence
 from edream.reality.recorder import Recorder, make_recordings
 from edream.reality.truth import draw as draw_truth
 from edream.sim.rollout import rollout
@@ -181,10 +182,34 @@ def test_a_score_test_on_every_other_motion_keeps_their_rows(fit: Fit) -> None:
 
 
 def test_a_real_gap_that_nothing_explains_is_not_called_agreement() -> None:
-    assert judge([], None, 1.2) == "none"
-    assert judge([], None, 5.0) == "unnamed"
+    assert judge([], None, 1.2, False) == "none"
+    assert judge([], None, 5.0, False) == "unnamed"
     said = sentence("unnamed", [], None, ("a",))
     assert "no effect in the library explains" in said and "agrees" not in said
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "short"),
+    [(5.0, 4.8, True), (5.0, 3.0, False), (5.0, 1.5, False), (1.7, 1.6, False), (3.0, 1.7, False), (30.0, 24.0, True)],
+)
+def test_names_that_close_little_of_a_real_gap_do_not_pass_for_the_answer(
+    problem: Problem, fit: Fit, before: float, after: float, short: bool
+) -> None:
+    first, left = (np.full(4, (floors * problem.floor) ** 2) for floors in (before, after))
+    taken = Trial(Candidate("spring", ("tilt",)), 0.5, fit, left, 0.1, True)
+    rounds = [Round(fit, first, [], [taken], taken)]
+    assert falls_short(problem, rounds, [taken]) is short
+    assert not falls_short(problem, rounds, [])
+    named = Named("spring", "a spring", ("tilt",), {}, {}, {}, 0.1, None, ())
+    assert judge([named], None, before, short) == ("unnamed" if short else "named")
+    assert "a spring on tilt, and something else" in sentence("unnamed", [named], None, ("pan", "tilt"))
+
+
+def test_a_step_that_leads_astray_does_not_judge_a_motion_left_out(problem: Problem, fit: Fit) -> None:
+    arrived = descend(fit, None, 6)
+    honest = left_out_errors(problem, arrived).mean()
+    misled = left_out_errors(problem, replace(arrived, jacobian=0.02 * arrived.jacobian)).mean()  # fifty times too long a step
+    assert misled < 1.1 * honest
 
 
 @pytest.mark.parametrize("phase", [-2.5, -0.4, 1.0, 3.0])
