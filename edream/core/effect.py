@@ -70,6 +70,7 @@ class Effect(ABC):
             assembly, as a zero offset does.
         rough: whether its error has many valleys, so that a descent needs a search before it.
         phase: the quantity that is a phase [rad], or None. Its probes then come in pairs, at phase 0 and at a quarter turn.
+        of_position_servo: whether it acts on what a servo makes of a commanded position, and so not under torque or speed commands.
         special: a simpler effect that this one is where one of its quantities has a certain value: (effect, quantity, value).
     """
 
@@ -82,6 +83,7 @@ class Effect(ABC):
     rough: bool = False
     phase: str | None = None
     of_type: bool = True
+    of_position_servo: bool = False
     special: tuple[str, str, float] | None = None
 
     @abstractmethod
@@ -139,3 +141,12 @@ def joint_index(model: mujoco.MjModel, joint: str) -> dict[str, int]:
                 "drive_qpos": int(model.jnt_qposadr[driven]),
             }
     raise EdreamError(f"Joint {joint!r} has no actuator of its own; effects act on actuated joints.")
+
+
+def holds_position(model: mujoco.MjModel, joint: str) -> bool:
+    """Whether a joint's servo pulls it to a position, rather than giving a torque or following a speed.
+
+    Raises:
+        EdreamError: no actuator drives the joint.
+    """
+    return bool(model.actuator_biasprm[joint_index(model, joint)["actuator"], 1] < 0.0)

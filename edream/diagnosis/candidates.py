@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import mujoco
 
 from edream.catalog import load, names
-from edream.core.effect import Effect
+from edream.core.effect import Effect, holds_position
 from edream.core.errors import EdreamError
 from edream.diagnosis.problem import Problem, scaling_of
 from edream.sim.simulation import Placement
@@ -52,13 +52,14 @@ def library(problem: Problem) -> list[Effect]:
 def rounds(problem: Problem, effects: Sequence[Effect]) -> list[list[Candidate]]:
     """Candidates in rounds: those of one round act on different joints and are probed in one simulation.
 
-    Joint effects make one round each, over all joints; a pair effect one for each second joint; bodies, geoms, the world one each.
+    Joint effects make one round each, over all joints that they can act on; a pair effect one for each second joint; bodies, geoms,
+    the world one each.
     """
     model = problem.robot.model
     out: list[list[Candidate]] = []
     for effect in effects:
         if effect.place == "joint":
-            out.append([Candidate(effect.name, (joint,)) for joint in problem.joints])
+            out.append([Candidate(effect.name, (joint,)) for joint in problem.joints if can_act(problem, effect, joint)])
         elif effect.place == "pair":
             for second in problem.joints:
                 out.append([Candidate(effect.name, (f"{first}<-{second}",)) for first in problem.joints if first != second])
@@ -69,6 +70,11 @@ def rounds(problem: Problem, effects: Sequence[Effect]) -> list[list[Candidate]]
         else:
             out.append([Candidate(effect.name, ())])
     return [one for one in out if one]
+
+
+def can_act(problem: Problem, effect: Effect, joint: str) -> bool:
+    """Whether an effect has a meaning on a joint, as it is driven."""
+    return not effect.of_position_servo or holds_position(problem.robot.model, joint)
 
 
 def moving_bodies(problem: Problem) -> list[str]:

@@ -31,6 +31,7 @@ DISTINCT = 0.5  # of the floor squared, or of the error where that is larger
 SERIOUS_SHARE = 0.01
 STRONG = 5.0  # probes
 HALF = 0.5  # of the gap: a candidate that closes less of a real one may be a stand-in
+BOUND = 1e-3  # of the unit box: nearer, a number sits at its bound
 REAL_GAP = 1.8  # how many floors of left-out error are a gap worth a name
 
 
@@ -340,16 +341,15 @@ def passes(problem: Problem, trial: Trial) -> bool:
 def stands(problem: Problem, candidate: Candidate, fit: Fit) -> bool:
     """Whether some parameter of the effect has an interval that excludes its absence, and none of those sits at a bound."""
     place = placement(problem, candidate)
-    intervals, values = fit.intervals(), fit.space.mapping(fit.values)
+    intervals, unit = fit.intervals(), dict(zip(fit.space.names, fit.unit, strict=True))
     away = []
     for parameter in place.parameters(problem.robot.model):
         if parameter.absent is None:
             continue
         low, high = intervals[parameter.name]
         excludes = not low <= parameter.absent <= high
-        margin = 1e-3 * (parameter.high - parameter.low)
-        at_bound = min(values[parameter.name] - parameter.low, parameter.high - values[parameter.name]) < margin
-        away.append(excludes and not at_bound)
+        inside = BOUND <= unit[parameter.name] <= 1.0 - BOUND  # in the box that is searched, logarithmic for a limit
+        away.append(excludes and inside)
     return any(away)
 
 

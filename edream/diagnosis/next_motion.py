@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg import cho_factor, cho_solve
 
+from edream.core.effect import holds_position
 from edream.core.episode import Episode
 from edream.diagnosis.descent import Fit
 from edream.diagnosis.problem import Problem
@@ -38,6 +39,13 @@ class Motion:
     evidence: float
 
 
+    def table(self) -> str:
+        """The commands as CSV: time [s], a column [rad or m] a joint."""
+        rows = [",".join(("time", *self.joints))]
+        rows += [",".join(f"{x:.6f}" for x in (t, *row)) for t, row in zip(self.times, self.command, strict=True)]
+        return "\n".join(rows) + "\n"
+
+
 @dataclass(frozen=True, eq=False)
 class Room:
     """What the robot may be asked for: positions it has room for, speeds it was commanded before."""
@@ -64,8 +72,10 @@ def suggest(problem: Problem, contenders: Sequence[Fit], rng: np.random.Generato
         rng: where chance comes from.
 
     Returns:
-        The motion; None where no motion would tell any two of them apart.
+        The motion; None where no motion would tell any two of them apart, or some joint takes no positions as commands.
     """
+    if not all(holds_position(problem.robot.model, joint) for joint in problem.fitted[0].episode.joints):
+        return None
     room = room_of(problem)
     drawn = [draw(room, rng) for _ in range(DRAWN)]
     rough = _least(separations(problem, contenders, drawn), (INVISIBLE * problem.floor) ** 2)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import cma
 import numpy as np
 
-from edream.diagnosis.candidates import Candidate, library, placement
+from edream.diagnosis.candidates import Candidate, can_act, library, placement
 from edream.diagnosis.descent import Fit, begin, descend
 from edream.diagnosis.problem import Problem
 from edream.diagnosis.screen import acts_already, extend, fits_beside, with_quantities
@@ -23,7 +23,7 @@ def rough_candidates(problem: Problem, fit: Fit) -> list[Candidate]:
     """The rough effects of the library on the joint that is furthest off."""
     own = fit.residual.reshape(-1, len(problem.joints))
     joint = problem.joints[int(np.argmax((own**2).mean(axis=0)))]
-    found = [Candidate(effect.name, (joint,)) for effect in library(problem) if effect.rough]
+    found = [Candidate(effect.name, (joint,)) for effect in library(problem) if effect.rough and can_act(problem, effect, joint)]
     present = fit.objective.simulated.placements
     return [c for c in found if not acts_already(c, present) and fits_beside(problem, fit, [c])]
 

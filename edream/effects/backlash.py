@@ -28,6 +28,7 @@ class Backlash(Effect):
     summary = "play in the gear (backlash)"
     place = "joint"
     confusable = ("coulomb", "dead_zone", "presliding", "compliance")
+    of_position_servo = True
     rough = True
     hook = staticmethod(gear_feedback)
 

@@ -29,6 +29,7 @@ class Compliance(Effect):
     summary = "a compliant gear"
     place = "joint"
     confusable = ("servo_gain", "backlash", "payload")
+    of_position_servo = True
     hook = staticmethod(gear_feedback)
 
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:

@@ -31,6 +31,7 @@ class DeadZone(Effect):
     summary = "a dead zone of the servo"
     place = "joint"
     confusable = ("coulomb", "backlash")
+    of_position_servo = True
     hook = staticmethod(dead_zone)
 
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:

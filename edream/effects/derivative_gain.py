@@ -26,6 +26,7 @@ class DerivativeGain(Effect):
     summary = "another derivative gain of the servo"
     place = "joint"
     confusable = ("viscous", "actuator_lag", "actuator_delay")
+    of_position_servo = True
     late = 1
 
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:

@@ -34,10 +34,10 @@ class FrictionFade(Effect):
     late = 1
 
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
-        return (Parameter("rate", "1/s", -0.03, 0.03, 0.0, absent=0.0),)
+        return (Parameter("rate", "1/s", -1.0, 1.0, 0.0, absent=0.0),)
 
     def probes(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[dict[str, float], ...]:
-        return ({"rate": 0.005},)
+        return ({"rate": 0.005}, {"rate": -0.05})
 
     def edit(self, spec: mujoco.MjSpec, target: str) -> None:
         hold_still(spec, drive_joint(spec, target))

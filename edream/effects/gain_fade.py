@@ -30,13 +30,14 @@ class GainFade(Effect):
     summary = "a servo gain that drifts with time"
     place = "joint"
     confusable = ("friction_fade", "servo_gain")
+    of_position_servo = True
     hook = staticmethod(gain_fade)
 
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
-        return (Parameter("rate", "1/s", -0.02, 0.02, 0.0, absent=0.0),)
+        return (Parameter("rate", "1/s", -0.2, 0.2, 0.0, absent=0.0),)
 
     def probes(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[dict[str, float], ...]:
-        return ({"rate": 0.003},)
+        return ({"rate": 0.003}, {"rate": -0.003})
 
 
 ENTRY = GainFade()

@@ -23,6 +23,7 @@ class GearRatio(Effect):
     summary = "another gear ratio"
     place = "joint"
     confusable = ("servo_gain", "encoder_offset", "spring")
+    of_position_servo = True
     late = 1
 
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:

@@ -23,6 +23,7 @@ class IntegralAction(Effect):
     summary = "an integral term of the servo"
     place = "joint"
     confusable = ("servo_gain", "coulomb")
+    of_position_servo = True
 
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
         kp = -float(model.actuator_biasprm[joint_index(model, targets[0])["actuator"], 1])

@@ -25,6 +25,7 @@ class SlewLimit(Effect):
     summary = "a speed limit of the setpoint"
     place = "joint"
     confusable = ("torque_speed_limit", "torque_limit", "actuator_lag")
+    of_position_servo = True
 
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
         return (Parameter("speed", "rad/s", 0.05, NONE, NONE, absent=NONE, scale="log"),)

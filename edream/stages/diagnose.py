@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from edream.calibration.settings import Limits, RobotSettings, ScaledBy
+from edream.core.effect import holds_position
 from edream.core.stage import Artifact, Bundle, Source, Stage, Work
 from edream.diagnosis.evidence import evidence
 from edream.diagnosis.next_motion import Motion, suggest
@@ -72,11 +73,9 @@ def run(inputs: Mapping[str, Artifact], config: DiagnoseConfig, work: Work) -> B
 
 def motion_files(motion: Motion, work: Work) -> Bundle:
     """The motion to record next: a table (time [s], a column [rad] a joint) and the same as MCAP."""
-    rows = [",".join(("time", *motion.joints))]
-    rows += [",".join(f"{x:.6f}" for x in (t, *row)) for t, row in zip(motion.times, motion.command, strict=True)]
     path = work.folder("next_motion") / "next_motion.mcap"
     write_commands(motion.joints, motion.times, motion.command, path)
-    return {"next_motion.csv": "\n".join(rows) + "\n", "next_motion.mcap": path}
+    return {"next_motion.csv": motion.table(), "next_motion.mcap": path}
 
 
 def settings_of(config: DiagnoseConfig) -> Settings:
@@ -91,7 +90,10 @@ def advice(found: Diagnosis, bundle: Mapping[str, Any]) -> str:
     """What to do about a doubt."""
     if len(found.contenders) < 2:
         return ""
-    return " Record the suggested motion." if "next_motion.csv" in bundle else " No motion of the joints would tell."
+    if "next_motion.csv" in bundle:
+        return " Record the suggested motion."
+    held = all(holds_position(found.problem.robot.model, joint) for joint in found.problem.joints)
+    return " No motion of the joints would tell." if held else " Motions are suggested for position servos alone."
 
 
 def summary(found: Diagnosis, bundle: Mapping[str, Any]) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from edream.core.episode import Episode
 from edream.core.errors import EdreamError
 from edream.core.parameters import Parameter
 from edream.diagnosis.candidates import Candidate, groups_of, placement
-from edream.diagnosis.decide import Round, Trial, comes_down_to, rivals, simplest
+from edream.diagnosis.decide import Round, Trial, comes_down_to, rivals, simplest, stands
 from edream.diagnosis.descent import Fit, begin, descend
 from edream.diagnosis.left_out import left_out_errors
 from edream.diagnosis.next_motion import as_window, draw, room_of, separations, suggest
@@ -186,6 +186,16 @@ def test_a_real_gap_that_nothing_explains_is_not_called_agreement() -> None:
     assert judge([], None, 5.0, False) == "unnamed"
     said = sentence("unnamed", [], None, ("a",))
     assert "no effect in the library explains" in said and "agrees" not in said
+
+
+@pytest.mark.parametrize(("speed", "stands_"), [(0.8, True), (0.0500001, False), (999.9, False)])
+def test_a_limit_far_below_the_top_of_its_box_is_not_at_its_bound(problem: Problem, fit: Fit, speed: float, stands_: bool) -> None:
+    candidate = Candidate("slew_limit", ("tilt",))
+    place = placement(problem, candidate)
+    extended, absent = extend(fit, [place])
+    unit = extended.simulated.space.to_unit(with_quantities(extended, absent, [place], [{"speed": speed}]))
+    column = np.full((len(fit.residual), 1), fit.scale)  # so that the number is known well
+    assert stands(problem, candidate, Fit(extended, unit, fit.residual, np.hstack([fit.jacobian, column]), fit.scale)) is stands_
 
 
 @pytest.mark.parametrize(

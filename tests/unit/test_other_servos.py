@@ -1,0 +1,97 @@
+"""Robots whose joints are driven by torque or by speed instead of by a position."""
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+
+from edream.catalog import load
+from edream.core.effect import Effect, holds_position
+from edream.core.episode import Episode
+from edream.core.errors import EdreamError
+from edream.diagnosis.candidates import Candidate, library, rounds
+from edream.diagnosis.next_motion import suggest
+from edream.diagnosis.nuisance import fit_nuisance
+from edream.diagnosis.problem import Problem, Settings, prepare
+from edream.diagnosis.screen import screen
+from edream.sim.robot import RobotModel
+from edream.sim.rollout import rollout, whole
+from edream.sim.simulation import Placement, SimulatedRobot
+
+POSITION_ONLY = {
+    "backlash", "compliance", "dead_zone", "derivative_gain", "gain_fade", "gear_ratio", "integral_action", "slew_limit",
+}  # fmt: skip
+SERVOS = {
+    "motor": '<motor joint="a"/><motor joint="b"/>',
+    "velocity": '<velocity joint="a" kv="6"/><velocity joint="b" kv="3"/>',
+    "mixed": '<motor joint="a"/><position joint="b" kp="20"/>',
+}
+
+
+def _robot(kind: str, spring: float = 0.0, step: float = 0.002) -> RobotModel:
+    """Two links that hang, the upper one perhaps with a spring."""
+    return RobotModel(
+        kind,
+        f"""<mujoco><compiler angle="radian"/><option timestep="{step}" integrator="implicitfast"/><worldbody>
+        <body name="upper"><joint name="a" axis="0 1 0" damping="0.4" frictionloss="0.05" armature="0.02" stiffness="{spring}"/>
+          <geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.03" mass="0.6"/>
+          <body name="lower" pos="0 0 -0.3"><joint name="b" axis="0 1 0" damping="0.2" frictionloss="0.03" armature="0.01"/>
+            <geom type="capsule" fromto="0 0 0 0 0 -0.2" size="0.02" mass="0.3"/></body></body></worldbody>
+        <actuator>{SERVOS[kind]}</actuator></mujoco>""",
+    )
+
+
+def _recorded(kind: str, spring: float, count: int = 5, seconds: float = 5.0) -> list[Episode]:
+    """Motions of the robot under torques or speeds that swing, by MuJoCo at a finer step, with noise."""
+    robot = _robot(kind, spring, 5e-4)
+    model = robot.spec().compile()
+    out = []
+    for number in range(count):
+        rng = np.random.default_rng(number)
+        times = np.arange(0.0, seconds, 0.02)
+        waves = np.sin(times[:, None, None] * rng.uniform(1.0, 5.0, (2, 3)) + rng.uniform(0.0, 6.0, (2, 3))).sum(axis=2)
+        command = waves * (np.array([0.5, 0.15]) if kind == "motor" else 0.5)
+        data, position = mujoco.MjData(model), np.empty((len(times), 2))
+        for row, told in enumerate(command):
+            position[row] = data.qpos
+            data.ctrl[:] = told
+            mujoco.mj_step(model, data, 40)
+        out.append(Episode(f"motion_{number}", robot.joints, times, position + rng.normal(0.0, 3e-4, (len(times), 2)), times, command))
+    return out
+
+
+def _problem(kind: str, spring: float, effects: tuple[str, ...] = ()) -> Problem:
+    return prepare(_robot(kind), _recorded(kind, spring), Settings(effects=effects))
+
+
+@pytest.mark.parametrize("kind", ["motor", "velocity"])
+def test_a_command_is_worth_what_the_gain_says(kind: str) -> None:
+    robot = _robot(kind)
+    place = Placement(load("effects", "servo_gain", Effect), ("a",))
+    (gain,) = place.parameters(robot.model)
+    assert not holds_position(robot.model, "a") and gain.name == "servo_gain.gain[a]"
+    assert gain.start == (1.0 if kind == "motor" else 6.0)
+    windows = whole([replace(one, command=np.ones_like(one.command)) for one in _recorded(kind, 0.0, 1)], None)
+    simulated = SimulatedRobot(robot, (place,))
+    (weak,), (strong,) = (rollout(simulated, np.array([[gain.start * factor]]), windows) for factor in (0.5, 1.5))
+    assert strong[0, -1, 0] > weak[0, -1, 0] + 0.1
+
+
+@pytest.mark.parametrize("kind", ["motor", "velocity"])
+def test_the_score_test_points_at_a_spring_of_a_robot_under_torque_or_speed(kind: str) -> None:
+    looked_at = _problem(kind, 1.5)
+    names = {candidate.effect for one in rounds(looked_at, library(looked_at)) for candidate in one}
+    assert not names & POSITION_ONLY and {"spring", "payload", "stribeck", "actuator_delay", "torque_limit"} <= names
+    first = screen(looked_at, fit_nuisance(looked_at))[0]
+    assert first.candidate.effect in ("spring", "hardening_spring") and first.candidate.targets == ("a",)
+
+
+def test_where_only_some_joints_hold_a_position_the_others_are_spared() -> None:
+    looked_at = _problem("mixed", 0.0, tuple(POSITION_ONLY))
+    asked = [candidate for one in rounds(looked_at, library(looked_at)) for candidate in one]
+    assert {c.targets for c in asked} == {("b",)} and {c.effect for c in asked} == POSITION_ONLY
+    assert suggest(looked_at, [], np.random.default_rng(0)) is None
+    with pytest.raises(EdreamError, match="a, b are tied, but only some hold a position"):
+        load("effects", "servo_gain", Effect).parameters(looked_at.robot.model, ("a", "b"))
+    assert Candidate("dead_zone", ("a",)) not in asked
