@@ -28,6 +28,7 @@ def main() -> None:
         jobs=given.jobs,
         baselines=given.baselines,
         fresh=given.fresh,
+        again=given.again,
         say=lambda text: print(text, flush=True),
     )
     rows = []
@@ -56,6 +57,7 @@ def arguments() -> argparse.Namespace:
     add("--jobs", type=int, default=1, help="cases at a time; more than one makes the minutes of a case meaningless")
     add("--baselines", action="store_true", help="run the four baselines on the same cases")
     add("--fresh", action="store_true", help="run finished cases again, as after a change of the diagnosis")
+    add("--again", action="store_true", help="where the answer is cannot_tell, record the suggested motion and diagnose again")
     add("--motions", type=int, default=12, help="recordings of each case")
     add("--seconds", type=float, default=10.0, help="length of each recording [s]")
     add("--out", type=Path, default=ROOT / "runs" / "blind")

@@ -2,6 +2,7 @@
 
 import hashlib
 import os
+import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +17,7 @@ ROOT = Path(__file__).resolve().parents[2]
 SORTS = ("none", "single", "foreign", "pair")
 SITES = {"arm6": "ee", "pan_tilt": "ee", "so101": "gripperframe"}
 FEWEST_EMPTY = 5
+AGAIN = 4  # recordings of a suggested motion
 PAIRS = (
     ("load_friction", "actuator_delay"),
     ("stribeck", "payload"),
@@ -120,3 +122,14 @@ def record_case(case: Case, robot: RobotModel, folder: Path, session: Session) -
         sealed.parent.mkdir(parents=True, exist_ok=True)
         truth_path(data).rename(sealed)
     return data, sealed
+
+
+def record_again(case: Case, robot: RobotModel, folder: Path, motion: Path) -> Path:
+    """The same robot plays a suggested motion, under `folder/again`; returns the data set."""
+    data = folder / "again" / case.code
+    shutil.rmtree(data, ignore_errors=True)
+    known = folder / "truth" / f"{case.code}.json"
+    config = RecordConfig(data, case.effects, format="lerobot_v3", motions=AGAIN, motion=motion, truth=known)
+    record(robot, config, seed=case.seed + 1000)
+    truth_path(data).unlink()  # it is the one that lies in `folder/truth`
+    return data

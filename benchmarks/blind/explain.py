@@ -1,6 +1,6 @@
 """Phase 2, a process of its own: recordings and a nominal model in, a diagnosis out. Sees nothing else.
 
-python -m benchmarks.blind.explain ROBOT.xml DATA OUT.json [--baselines]
+python -m benchmarks.blind.explain ROBOT.xml DATA OUT.json [--baselines] [--suggest MOTION.csv] [--beside MORE_DATA]
 """
 
 import argparse
@@ -8,6 +8,7 @@ import json
 import math
 import time
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,9 +22,13 @@ def main() -> None:
     parser.add_argument("data", type=Path)
     parser.add_argument("out", type=Path)
     parser.add_argument("--baselines", action="store_true")
+    parser.add_argument("--suggest", type=Path, help="where the motion to record next is written, if there is one")
+    parser.add_argument("--beside", type=Path, help="recordings of that motion, diagnosed together with the others")
     given = parser.parse_args()
     blindfold()
-    diagnosis, result = explain(given.robot, given.data)
+    diagnosis, result = explain(given.robot, given.data, given.beside)
+    if given.suggest and (table := suggestion(diagnosis)):
+        given.suggest.write_text(table, encoding="utf-8")
     given.out.write_text(json.dumps(_finite(result)) + "\n", encoding="utf-8")
     if given.baselines:
         from benchmarks.blind.baselines import run_baselines
@@ -32,8 +37,11 @@ def main() -> None:
         given.out.write_text(json.dumps(_finite(result)) + "\n", encoding="utf-8")
 
 
-def explain(robot_path: Path, data: Path) -> tuple[Any, dict[str, Any]]:
-    """Ingest the recordings and diagnose them, as `edream diagnose robot.mjcf=R.xml data=D` does: the `Diagnosis`, its summary."""
+def explain(robot_path: Path, data: Path, beside: Path | None = None) -> tuple[Any, dict[str, Any]]:
+    """Ingest the recordings and diagnose them, as `edream diagnose robot.mjcf=R.xml data=D` does: the `Diagnosis`, its summary.
+
+    `beside` are further recordings of the same robot.
+    """
     from edream.core.episode import Episode
     from edream.diagnosis.problem import Settings, prepare
     from edream.diagnosis.verdict import diagnose
@@ -42,11 +50,25 @@ def explain(robot_path: Path, data: Path) -> tuple[Any, dict[str, Any]]:
 
     began = time.monotonic()
     robot = load_robot(robot_path)
-    found = [one for one in ingest_recordings(data, robot.joints, strict=True) if isinstance(one, tuple)]
-    episodes: list[Episode] = [episode for episode, _ in found]
+    episodes: list[Episode] = []
+    for folder in filter(None, (data, beside)):
+        found = [one[0] for one in ingest_recordings(folder, robot.joints, strict=True) if isinstance(one, tuple)]
+        episodes += [replace(episode, name=f"{folder.name}/{episode.name}") for episode in found]
     problem = prepare(robot, episodes, Settings())
     diagnosis = diagnose(problem)
     return diagnosis, summary(diagnosis) | {"seconds": time.monotonic() - began}
+
+
+def suggestion(found: Any) -> str | None:
+    """The motion that a diagnosis in doubt would have recorded next, as a table; None where it is not in doubt or knows of none."""
+    import numpy as np
+
+    from edream.diagnosis.next_motion import suggest
+
+    if len(found.contenders) < 2:
+        return None
+    motion = suggest(found.problem, [fit for _, fit in found.contenders], np.random.default_rng(found.problem.settings.seed))
+    return None if motion is None else motion.table()
 
 
 def summary(found: Any) -> dict[str, Any]:

@@ -12,8 +12,8 @@ from pathlib import Path
 from time import monotonic
 from typing import Any
 
-from benchmarks.blind.cases import ROOT, Case, Session, record_case, robot_of
-from benchmarks.blind.score import score
+from benchmarks.blind.cases import ROOT, Case, Session, record_again, record_case, robot_of
+from benchmarks.blind.score import is_resolved, score
 from edream.core.errors import EdreamError
 from edream.reality.truth import unseal
 from edream.sim.robot import RobotModel
@@ -21,30 +21,53 @@ from edream.sim.robot import RobotModel
 LONGEST = 1800.0  # s; a diagnosis that takes longer counts as failed
 
 
-def run_case(case: Case, robot: RobotModel, folder: Path, session: Session, baselines: bool = False) -> dict[str, Any]:
+def run_case(
+    case: Case, robot: RobotModel, folder: Path, session: Session, baselines: bool = False, again: bool = False
+) -> dict[str, Any]:
     """Record a case where that is not done, and diagnose it blindfolded.
 
+    Args:
+        case, robot: what is hidden where.
+        folder: of recordings and truths.
+        session: how much is recorded.
+        baselines: run the baselines, too.
+        again: where the diagnosis is in doubt and suggests a motion, record that and diagnose all recordings together.
+
     Returns:
-        What the diagnosis wrote, with "baselines_failed" where only those went wrong, or {"failed": the end of what it said}.
+        What the diagnosis wrote, with "baselines_failed" where only those went wrong, or {"failed": the end of what it said};
+        "again" holds the second diagnosis, or None where no motion was suggested.
     """
     data, _ = record_case(case, robot, folder, session)
     with tempfile.TemporaryDirectory(prefix="blind-") as name:
         place = Path(name)
         shutil.copytree(data, place / "recordings")
         write_robot(robot, place / "robot")
-        out = place / "result.json"
-        given = [str(place / "robot" / "robot.xml"), str(place / "recordings"), str(out)]
-        words = [sys.executable, "-m", "benchmarks.blind.explain", *given, *(["--baselines"] if baselines else [])]
-        environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}
-        try:
-            done = subprocess.run(words, cwd=place, env=environment, capture_output=True, text=True, timeout=LONGEST, check=False)
-        except subprocess.TimeoutExpired:
-            return {"failed": f"more than {LONGEST:.0f} s"}
-        said = done.stderr.strip()[-2000:]
-        if done.returncode and not out.exists():
-            return {"failed": said}
-        result = json.loads(out.read_text(encoding="utf-8"))
-        return result | ({"baselines_failed": said} if done.returncode else {})
+        motion = place / "motion.csv"
+        words = [*(["--baselines"] if baselines else []), *(["--suggest", str(motion)] if again else [])]
+        result = _blindfolded(place, "result.json", words)
+        if again:
+            result["again"] = None
+        if motion.exists():
+            shutil.copytree(record_again(case, robot, folder, motion), place / "more")
+            result["again"] = _blindfolded(place, "again.json", ["--beside", str(place / "more")])
+        return result
+
+
+def _blindfolded(place: Path, name: str, words: Sequence[str]) -> dict[str, Any]:
+    """What a diagnosis of the recordings at `place` writes, in a process that sees nothing else."""
+    out = place / name
+    given = [str(place / "robot" / "robot.xml"), str(place / "recordings"), str(out), *words]
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}
+    command = [sys.executable, "-m", "benchmarks.blind.explain", *given]
+    try:
+        done = subprocess.run(command, cwd=place, env=environment, capture_output=True, text=True, timeout=LONGEST, check=False)
+    except subprocess.TimeoutExpired:
+        return {"failed": f"more than {LONGEST:.0f} s"}
+    said = done.stderr.strip()[-2000:]
+    if done.returncode and not out.exists():
+        return {"failed": said}
+    result = json.loads(out.read_text(encoding="utf-8"))
+    return result | ({"baselines_failed": said} if done.returncode else {})
 
 
 def write_robot(robot: RobotModel, folder: Path) -> None:
@@ -78,6 +101,7 @@ def run_cases(
     jobs: int = 1,
     baselines: bool = False,
     fresh: bool = False,
+    again: bool = False,
     say: Callable[[str], None] = print,
 ) -> dict[str, dict[str, Any]]:
     """Run what is not done yet, keep each result as it comes, and return all results of the chosen cases by name."""
@@ -87,7 +111,7 @@ def run_cases(
     robots = {name: robot_of(name) for name in dict.fromkeys(case.robot for case in chosen)}
     for name in [name for name, robot in robots.items() if robot is None]:
         say(f"{name} is left out: its model comes with the measurements, which are not here (EDREAM_SHARED_DATA).")
-    todo = [c for c in chosen if robots[c.robot] is not None and not _done(kept.get(c.name), baselines)]
+    todo = [c for c in chosen if robots[c.robot] is not None and not _done(kept.get(c.name), baselines, again)]
     say(f"{len(chosen)} cases, {len(todo)} to do")
     end = monotonic() + 60.0 * minutes
 
@@ -95,7 +119,7 @@ def run_cases(
         robot = robots[case.robot]
         if monotonic() > end or robot is None:
             return
-        result = run_case(case, robot, folder, session, baselines)
+        result = run_case(case, robot, folder, session, baselines, again)
         line = {"case": case.name, "code": case.code, "session": [session.motions, session.seconds], "version": version(), **result}
         with path.open("a", encoding="utf-8") as file:
             file.write(json.dumps(line) + "\n")
@@ -107,8 +131,10 @@ def run_cases(
     return {case.name: kept[case.name] for case in chosen if case.name in kept}
 
 
-def _done(result: Mapping[str, Any] | None, baselines: bool) -> bool:
-    return result is not None and "failed" not in result and (not baselines or "baselines" in result)
+def _done(result: Mapping[str, Any] | None, baselines: bool, again: bool) -> bool:
+    if result is None or "failed" in result or (baselines and "baselines" not in result):
+        return False
+    return not again or result["verdict"] != "cannot_tell" or "again" in result
 
 
 def scored(case: Case, robot: RobotModel, folder: Path, result: Mapping[str, Any]) -> dict[str, Any]:
@@ -136,7 +162,12 @@ def scored(case: Case, robot: RobotModel, folder: Path, result: Mapping[str, Any
             "seconds": None,
             "failed": result["failed"],
         }
-    return score(case, truth, robot.model, result)
+    row = score(case, truth, robot.model, result)
+    if result.get("again") is not None:
+        second = None if "failed" in result["again"] else score(case, truth, robot.model, result["again"])
+        row["resolved"] = second is not None and is_resolved(second)
+        row["again"] = second
+    return row
 
 
 def summarise(case: Case, robot: RobotModel, folder: Path, result: Mapping[str, Any]) -> str:
@@ -147,7 +178,12 @@ def summarise(case: Case, robot: RobotModel, folder: Path, result: Mapping[str, 
     mark = "right" if row["right"] else "WRONG"
     hidden = ", ".join(row["hidden"]) or "nothing"
     lost = ", baselines FAILED" if "baselines_failed" in result else ""
-    return f"{mark}, {row['verdict']} {', '.join(row['named'])} (hidden {hidden}), {row['seconds']:.0f} s{lost}"
+    more = ""
+    if "resolved" in row:
+        then = row["again"]
+        said = "failed" if then is None else f"{then['verdict']} {', '.join(then['named'])}"
+        more = f"; with the suggested motion {'resolved' if row['resolved'] else 'NOT resolved'}, {said}"
+    return f"{mark}, {row['verdict']} {', '.join(row['named'])} (hidden {hidden}), {row['seconds']:.0f} s{lost}{more}"
 
 
 def version() -> str:

@@ -60,6 +60,11 @@ def score(case: Case, truth: Truth, model: mujoco.MjModel, result: Mapping[str, 
     return row
 
 
+def is_resolved(row: Mapping[str, Any]) -> bool:
+    """Whether a diagnosis with the suggested motion names every hidden effect and nothing else, without a doubt."""
+    return row["verdict"] == "named" and set(row.get("found", [])) == {"named"} and not row["extra"]
+
+
 def closed(gap: Mapping[str, float]) -> float | None:
     """Share of the gap above the noise floor that is closed on motions never fitted; None where there was no gap."""
     opened = gap["before_rad"] - gap["noise_floor_rad"]

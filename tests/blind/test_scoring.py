@@ -9,7 +9,7 @@ import pytest
 from benchmarks.blind.cases import PAIRS, SITES, SORTS, Case, Session, cases, robot_of
 from benchmarks.blind.names import OTHER_NAME, SAME_NAME, is_usual, library_name, true_values
 from benchmarks.blind.runner import finished
-from benchmarks.blind.score import score
+from benchmarks.blind.score import is_resolved, score
 from benchmarks.blind.table import markdown, table
 from edream import catalog
 from edream.core.errors import EdreamError
@@ -42,6 +42,16 @@ def test_the_right_name_at_the_right_joint_is_right() -> None:
     assert row["right"] and row["found"] == ["named"]
     assert row["closed"] == pytest.approx(1.7 / 1.8)
     assert row["values"][0]["relative"] == pytest.approx(1 / 30)
+
+
+def test_a_doubt_is_resolved_by_one_right_name_and_no_other() -> None:
+    right, wrong = effect("actuator_delay", "tilt"), effect("actuator_lag", "tilt")
+    assert is_resolved(scored([right]))
+    assert not is_resolved(scored([effect("actuator_delay", "tilt", ("actuator_lag[tilt]",))], "cannot_tell"))
+    assert not is_resolved(scored([right, wrong])) and not is_resolved(scored([wrong])) and not is_resolved(scored([], "none"))
+    rows = [scored([right]) | {"resolved": done} for done in (True, True, False)] + [scored([right])]
+    assert table(rows, 4)["resolved"] == [2, 3]
+    assert "| in doubt: resolved by recording the suggested motion | 2 of 3 (67%) | >= 70 % |" in markdown(table(rows, 4), rows)
 
 
 def test_a_weak_servo_that_was_strong_by_chance_stays_within_what_is_usual() -> None:
