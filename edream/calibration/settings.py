@@ -25,11 +25,13 @@ class RobotSettings:
         mjcf: its model.
         name: what reports call it; the file's stem where None.
         site: end-effector site; the last body where None.
+        joints: the recorded joints, where the model drives more; empty for all.
     """
 
     mjcf: Path
     name: str | None = None
     site: str | None = None
+    joints: tuple[str, ...] = ()
 
     def load(self) -> RobotModel:
         """The robot's model.
@@ -37,7 +39,7 @@ class RobotSettings:
         Raises:
             EdreamError: it cannot be read.
         """
-        return load_robot(self.mjcf, self.name, self.site)
+        return load_robot(self.mjcf, self.name, self.site, self.joints)
 
     def content(self) -> bytes:
         """All that the model says, its includes and assets too, as bytes for a key."""

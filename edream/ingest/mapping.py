@@ -132,7 +132,7 @@ def _columns(
             raise EdreamError(
                 f"Recording {recording.name!r} has {width} {what} channels; the robot has {len(joints)} joints "
                 f"({', '.join(joints)}). "
-                "Mapping by order needs as many; name them with ingest.mapping.channels."
+                "Mapping by order needs as many; name them with ingest.mapping.channels, or the recorded joints with robot.joints."
             )
         return list(range(width))
     return [_find(recording, what, names, joint, joints, mapping) for joint in joints]
@@ -155,7 +155,8 @@ def _find(
     raise EdreamError(
         f"Recording {recording.name!r} has no {what} channel for joint {joint!r} of the robot. "
         f"{unknown_name('channel', wanted, names)} "
-        f"Name it with ingest.mapping.channels.{joint}=CHANNEL{', or map by order' if len(names) == len(joints) else ''}."
+        f"Name it with ingest.mapping.channels.{joint}=CHANNEL{', or map by order' if len(names) == len(joints) else ''}"
+        "; or, where it was not recorded, name those that were as robot.joints=[JOINT,...]."
     )
 
 

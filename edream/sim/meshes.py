@@ -1,5 +1,7 @@
 """Meshes with fewer triangles, for pictures alone: rendering without a GPU costs by the vertex, hardly by the pixel."""
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 
@@ -43,7 +45,7 @@ def lightened(robot: RobotModel, most: int) -> RobotModel:
             f"The meshes of robot {robot.name!r} cannot be thinned to {most} triangles: {' '.join(str(error).split())}; "
             "give render.triangles=null."
         ) from error
-    return RobotModel(robot.name, spec.to_xml(), robot.assets, robot.site)
+    return replace(robot, mjcf=spec.to_xml())
 
 
 def _as_written(model: mujoco.MjModel, number: int) -> tuple[np.ndarray, np.ndarray]:

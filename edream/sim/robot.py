@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path, PurePosixPath
 
@@ -14,6 +14,7 @@ from edream.core.errors import EdreamError, unknown_name
 MAX_BYTES = 64 * 2**20
 JOINT_TRANSMISSIONS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 HINGE_OR_SLIDE = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+LINK_SUFFIX = "_link"
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,23 +26,30 @@ class RobotModel:
         mjcf: the MJCF (or URDF) as text, with every include resolved.
         assets: mesh and texture files that the text names, file name -> bytes.
         site: name of the end-effector site, or None for the last body of the chain.
+        recorded: the joints that recordings are about, where the model drives more than these; empty for all.
     """
 
     name: str
     mjcf: str
     assets: Mapping[str, bytes] = field(default_factory=dict)
     site: str | None = None
+    recorded: tuple[str, ...] = ()
 
     def spec(self) -> mujoco.MjSpec:
-        """A fresh, editable `mujoco.MjSpec` of this robot.
+        """A fresh, editable `mujoco.MjSpec` of this robot; links without a name are called after their joint, `<joint>_link`.
 
         Raises:
             EdreamError: MuJoCo cannot parse the text.
         """
         try:
-            return mujoco.MjSpec.from_string(self.mjcf, assets=dict(self.assets))
+            spec = mujoco.MjSpec.from_string(self.mjcf, assets=dict(self.assets))
         except ValueError as error:
             raise EdreamError(f"Robot {self.name!r}: MuJoCo cannot read its model: {_one_line(error)}") from error
+        taken = {body.name for body in spec.bodies}
+        for joint in spec.joints:
+            if joint.name and not joint.parent.name and joint.name + LINK_SUFFIX not in taken:
+                joint.parent.name = joint.name + LINK_SUFFIX
+        return spec
 
     @cached_property
     def model(self) -> mujoco.MjModel:
@@ -57,31 +65,38 @@ class RobotModel:
 
     @cached_property
     def joints(self) -> tuple[str, ...]:
-        """Names of the joints that an actuator drives, in actuator order, (J,).
+        """Names of the recorded joints, in the order of the actuators that drive them, (J,).
+
+        Actuators of anything but a hinge or a slide, such as a gripper's tendon, take no commands here and stay at 0.
 
         Raises:
-            EdreamError: an actuator does not drive a single hinge or slide joint, or there is none.
+            EdreamError: no actuator drives a hinge or slide joint, or none drives one of `recorded`.
         """
+        driven = self._driven()
+        for name in self.recorded:
+            if name not in driven:
+                raise unknown_name("driven joint (named in robot.joints)", name, driven)
+        return tuple(name for name in driven if not self.recorded or name in self.recorded)
+
+    def _driven(self) -> list[str]:
         model = self.model
         names = []
         every = {model.joint(number).name for number in range(model.njnt)}
         for actuator in range(model.nactuator):
             if not model.actuator_ctrlnum[actuator]:
                 continue  # a passive device (cogging, bristle friction) takes no command
-            if int(model.actuator_trntype[actuator]) not in JOINT_TRANSMISSIONS:
-                raise EdreamError(
-                    f"Robot {self.name!r}: actuator {model.actuator(actuator).name!r} does not drive a joint; "
-                    "expected position actuators on hinge or slide joints."
-                )
             joint = int(model.actuator_trnid[actuator, 0])
-            if int(model.jnt_type[joint]) not in HINGE_OR_SLIDE:
-                raise EdreamError(f"Robot {self.name!r}: joint {model.joint(joint).name!r} is neither hinge nor slide.")
+            if int(model.actuator_trntype[actuator]) not in JOINT_TRANSMISSIONS or int(model.jnt_type[joint]) not in HINGE_OR_SLIDE:
+                continue
             name = model.joint(joint).name
             link = name.removesuffix(MOTOR_SUFFIX)  # a motor behind a gear with play or give moves the link's joint
             names.append(link if link in every else name)
         if not names:
-            raise EdreamError(f"Robot {self.name!r} has no actuator; expected one position actuator for each recorded joint.")
-        return tuple(names)
+            raise EdreamError(
+                f"Robot {self.name!r} has no actuator on a hinge or slide joint; expected one for each recorded joint, such as a "
+                "position servo."
+            )
+        return names
 
     def joint_index(self, name: str) -> int:
         """Column of a joint.
@@ -94,7 +109,7 @@ class RobotModel:
         return self.joints.index(name)
 
 
-def load_robot(path: Path, name: str | None = None, site: str | None = None) -> RobotModel:
+def load_robot(path: Path, name: str | None = None, site: str | None = None, recorded: Sequence[str] = ()) -> RobotModel:
     """Read a robot from an MJCF or URDF file, with its includes and assets.
 
     No file outside the model's own folder (or its parent's `assets`/`meshes` folders) is opened.
@@ -103,9 +118,10 @@ def load_robot(path: Path, name: str | None = None, site: str | None = None) -> 
         path: the MJCF or URDF file.
         name: what reports call it; the file's stem where None.
         site: end-effector site, or None to take the last body.
+        recorded: the joints that recordings are about; empty for all that are driven.
 
     Raises:
-        EdreamError: the file does not exist, is too large, leaves its folder or is not a MuJoCo model.
+        EdreamError: the file does not exist, is too large, leaves its folder or is not a MuJoCo model, or a joint is not driven.
     """
     path = Path(path)
     if not path.is_file():
@@ -129,11 +145,11 @@ def load_robot(path: Path, name: str | None = None, site: str | None = None) -> 
     assets: dict[str, bytes] = dict(includes)
     for one in texts:
         assets |= _asset_files(one, texts, root, path)
-    flat = RobotModel(robot_name, text, assets, site)
+    flat = RobotModel(robot_name, text, assets, site, tuple(recorded))
     if includes:
         spec = flat.spec()
         spec.compile()
-        flat = RobotModel(robot_name, spec.to_xml(), {k: v for k, v in assets.items() if k not in includes}, site)
+        flat = replace(flat, mjcf=spec.to_xml(), assets={k: v for k, v in assets.items() if k not in includes})
     if site is not None and site not in [s.name for s in flat.spec().sites]:
         raise unknown_name(f"site in {path.name}", site, [s.name for s in flat.spec().sites])
     return flat

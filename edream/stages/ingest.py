@@ -49,6 +49,7 @@ class IngestRobot:
     """Of the robot only its joints count here."""
 
     mjcf: Path
+    joints: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -66,7 +67,7 @@ def sources(config: IngestConfig) -> Mapping[str, Source]:
     if data.name == "info.json" or data.name == "meta":
         data = data.parent.parent if data.name == "info.json" else data.parent
     beside = [*data.parent.glob("*.csv"), *data.parent.glob("*.json")] if data.is_file() else []
-    robot = load_robot(config.robot.mjcf)
+    robot = load_robot(config.robot.mjcf, recorded=config.robot.joints)
     joints = json.dumps({"joints": robot.joints, "ranges": joint_ranges(robot)}, sort_keys=True).encode()
     return {"data": data, "robot.joints": joints} | {f"beside/{path.name}": path for path in beside}
 
@@ -80,7 +81,7 @@ def joint_ranges(robot: RobotModel) -> dict[str, tuple[float, float]]:
 
 def run(inputs: Mapping[str, Artifact], config: IngestConfig, work: Work) -> Bundle:
     """Read, map and check the recordings one by one; each is kept as soon as it is written."""
-    robot = load_robot(config.robot.mjcf)
+    robot = load_robot(config.robot.mjcf, recorded=config.robot.joints)
     options = config.ingest
     _check_units(robot, options.mapping)
     found = ingest_recordings(

@@ -190,7 +190,7 @@ def _simulated(
     if "fit" in inputs:
         fitted = inputs["fit"]
         about = fitted["summary.json"]
-        robot = RobotModel(robot.name, fitted[about["model"]], robot.assets, robot.site)
+        robot = replace(robot, mjcf=fitted[about["model"]])
         if "hook" in about:
             hook = work.folder("hook") / "hook.py"  # what we emitted ourselves, its bytes checked by the store
             hook.write_text(fitted[about["hook"]])

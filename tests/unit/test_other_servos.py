@@ -1,6 +1,7 @@
-"""Robots whose joints are driven by torque or by speed instead of by a position."""
+"""Robots whose joints are driven by torque or by speed instead of by a position, or that drive more than was recorded."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -15,7 +16,7 @@ from edream.diagnosis.next_motion import suggest
 from edream.diagnosis.nuisance import fit_nuisance
 from edream.diagnosis.problem import Problem, Settings, prepare
 from edream.diagnosis.screen import screen
-from edream.sim.robot import RobotModel
+from edream.sim.robot import RobotModel, load_robot
 from edream.sim.rollout import rollout, whole
 from edream.sim.simulation import Placement, SimulatedRobot
 
@@ -34,7 +35,7 @@ def _robot(kind: str, spring: float = 0.0, step: float = 0.002) -> RobotModel:
     return RobotModel(
         kind,
         f"""<mujoco><compiler angle="radian"/><option timestep="{step}" integrator="implicitfast"/><worldbody>
-        <body name="upper"><joint name="a" axis="0 1 0" damping="0.4" frictionloss="0.05" armature="0.02" stiffness="{spring}"/>
+        <body><joint name="a" axis="0 1 0" damping="0.4" frictionloss="0.05" armature="0.02" stiffness="{spring}"/>
           <geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.03" mass="0.6"/>
           <body name="lower" pos="0 0 -0.3"><joint name="b" axis="0 1 0" damping="0.2" frictionloss="0.03" armature="0.01"/>
             <geom type="capsule" fromto="0 0 0 0 0 -0.2" size="0.02" mass="0.3"/></body></body></worldbody>
@@ -83,6 +84,7 @@ def test_the_score_test_points_at_a_spring_of_a_robot_under_torque_or_speed(kind
     looked_at = _problem(kind, 1.5)
     names = {candidate.effect for one in rounds(looked_at, library(looked_at)) for candidate in one}
     assert not names & POSITION_ONLY and {"spring", "payload", "stribeck", "actuator_delay", "torque_limit"} <= names
+    assert Candidate("payload", ("a_link",)) in [c for one in rounds(looked_at, library(looked_at)) for c in one]  # it has no name
     first = screen(looked_at, fit_nuisance(looked_at))[0]
     assert first.candidate.effect in ("spring", "hardening_spring") and first.candidate.targets == ("a",)
 
@@ -95,3 +97,29 @@ def test_where_only_some_joints_hold_a_position_the_others_are_spared() -> None:
     with pytest.raises(EdreamError, match="a, b are tied, but only some hold a position"):
         load("effects", "servo_gain", Effect).parameters(looked_at.robot.model, ("a", "b"))
     assert Candidate("dead_zone", ("a",)) not in asked
+
+
+HAND = """<mujoco><worldbody><body name="upper"><joint name="a" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.03"/>
+  <body name="hand" pos="0 0 -0.3"><joint name="b" axis="0 1 0"/><geom size="0.03"/>
+    <body name="left"><joint name="left" type="slide" axis="0 1 0"/><geom size="0.01" pos="0 0.05 0"/></body>
+    <body name="right"><joint name="right" type="slide" axis="0 -1 0"/><geom size="0.01" pos="0 -0.05 0"/></body></body></body>
+  </worldbody><tendon><fixed name="fingers"><joint joint="left" coef="0.5"/><joint joint="right" coef="0.5"/></fixed></tendon>
+  <actuator><position name="grip" tendon="fingers" kp="50"/><position joint="b" kp="20"/><position joint="a" kp="40"/>
+    <position joint="left" kp="5"/></actuator></mujoco>"""
+
+
+def test_a_grippers_tendon_is_no_joint_and_joints_that_were_not_recorded_may_be_left_out(tmp_path: Path) -> None:
+    path = tmp_path / "hand.xml"
+    path.write_text(HAND)
+    assert load_robot(path).joints == ("b", "a", "left")
+    robot = load_robot(path, recorded=["a", "b"])
+    assert robot.joints == ("b", "a")
+    times = np.arange(0.0, 2.0, 0.02)
+    command = np.stack([0.3 * np.sin(3.0 * times), 0.2 * np.cos(2.0 * times)], axis=1)
+    bare = SimulatedRobot(robot, ())
+    (moved,) = rollout(bare, np.zeros((1, 0)), whole([Episode("one", robot.joints, times, command, times, command)], None))
+    assert np.isfinite(moved).all() and np.ptp(moved[0], axis=0).min() > 0.1
+    with pytest.raises(EdreamError, match=r"no driven joint \(named in robot.joints\) 'right'.*a, b, left"):
+        _ = load_robot(path, recorded=["a", "right"]).joints
+    with pytest.raises(EdreamError, match="no actuator on a hinge or slide joint"):
+        _ = RobotModel("hand", HAND[: HAND.index("<position joint")] + "</actuator></mujoco>").joints
