@@ -21,7 +21,7 @@ from edream.sim.rollout import rollout, whole
 from edream.sim.simulation import Placement, SimulatedRobot
 
 POSITION_ONLY = {
-    "backlash", "compliance", "dead_zone", "derivative_gain", "gain_fade", "gear_ratio", "integral_action", "slew_limit",
+    "backlash", "compliance", "dead_zone", "derivative_gain", "gear_ratio", "integral_action", "slew_limit",
 }  # fmt: skip
 SERVOS = {
     "motor": '<motor joint="a"/><motor joint="b"/>',
