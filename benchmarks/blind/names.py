@@ -70,6 +70,7 @@ FACTORS: Mapping[str, Mapping[str, tuple[str, float]]] = {
     "actuator_lag": {"time": ("time", 1.0)},
     "sensor_delay": {"time": ("time", 1.0)},
     "encoder_offset": {"angle": ("angle", 1.0)},
+    "gear_ratio": {"scale": ("encoder", 1.0)},
     "joint_coupling": {"stiffness": ("stiffness", -1.0)},
     "gain_drift": {"rate": ("rate", -1.0)},
     "friction_drift": {"rate": ("rate", -1.0)},

@@ -7,7 +7,7 @@ import numpy as np
 
 from edream.core.effect import MEASURED_SUFFIX, Effect, Fields, Values
 from edream.core.parameters import Parameter
-from edream.sim.servo import driven_joints
+from edream.sim.servo import read_by_sensors
 
 LONGEST = 0.12
 
@@ -34,15 +34,7 @@ class SensorDelay(Effect):
         return ({"time": 0.01},)
 
     def edit(self, spec: mujoco.MjSpec, target: str) -> None:
-        named = {sensor.name for sensor in spec.sensors}
-        for joint in driven_joints(spec):
-            if joint + MEASURED_SUFFIX not in named:
-                spec.add_sensor(
-                    name=joint + MEASURED_SUFFIX,
-                    type=mujoco.mjtSensor.mjSENS_JOINTPOS,
-                    objtype=mujoco.mjtObj.mjOBJ_JOINT,
-                    objname=joint,
-                )
+        read_by_sensors(spec)
         sensor = spec.sensor(target + MEASURED_SUFFIX)
         sensor.nsample = int(np.ceil(LONGEST / spec.option.timestep)) + 1
         sensor.interp = 1

@@ -11,7 +11,6 @@ import numpy as np
 from jaxtyping import Float
 from mujoco import batch
 
-from edream.core.effect import MEASURED_SUFFIX
 from edream.core.errors import EdreamError
 from edream.sim.hook_file import hook_text
 from edream.sim.simulation import SimulatedRobot, write_fields
@@ -31,6 +30,7 @@ FIELDS = {
     "actuator_gainprm": ("actuator", "gainprm", slice(None)),
     "actuator_biasprm": ("actuator", "biasprm", slice(None)),
     "actuator_dynprm": ("actuator", "dynprm", slice(None)),
+    "actuator_gear": ("actuator", "gear", slice(None)),
     "actuator_forcerange": ("actuator", "forcerange", slice(None)),
     "actuator_delay": ("actuator", "delay", None),
     "tendon_stiffness": ("tendon", "stiffness", 0),
@@ -185,9 +185,3 @@ def _numbers(source: str, model: mujoco.MjModel) -> Iterator[float]:
             yield from np.ravel(field).tolist()
     yield from (float(model.opt.timestep), *map(float, model.opt.gravity))
     yield from (float(one) for one in NUMBER.findall(source))
-
-
-def measured_joints(model: mujoco.MjModel) -> tuple[str, ...]:
-    """Joints that are read through a sensor `<joint>_measured`."""
-    names = [model.sensor(i).name for i in range(model.nsensor)]
-    return tuple(name.removesuffix(MEASURED_SUFFIX) for name in names if name.endswith(MEASURED_SUFFIX))

@@ -127,10 +127,13 @@ def begin(model, data):
             values = model.actuator_historyadr[actuator] + 2 + samples
             data.history[values : values + samples] = command
     for sensor in range(model.nsensor):
-        samples = model.sensor_history[sensor, 0]
-        if samples and model.sensor_type[sensor] == int(mujoco.mjtSensor.mjSENS_JOINTPOS):
+        samples, joint, gear = model.sensor_history[sensor, 0], model.sensor_objid[sensor], 1.0
+        geared = model.sensor_type[sensor] == int(mujoco.mjtSensor.mjSENS_ACTUATORPOS)
+        if geared:
+            joint, gear = model.actuator_trnid[joint, 0], model.actuator_gear[joint, 0]
+        if samples and (geared or model.sensor_type[sensor] == int(mujoco.mjtSensor.mjSENS_JOINTPOS)):
             values = model.sensor_historyadr[sensor] + 2 + samples
-            data.history[values : values + samples] = data.qpos[model.jnt_qposadr[model.sensor_objid[sensor]]]
+            data.history[values : values + samples] = gear * data.qpos[model.jnt_qposadr[joint]]
 {gears}    mujoco.mj_forward(model, data)
 
 

@@ -14,6 +14,7 @@ from edream.core.effect import MEASURED_SUFFIX, MOTOR_SUFFIX, joint_index
 from edream.core.errors import EdreamError
 from edream.sim.robot import RobotModel
 from edream.sim.rollout import Window, rollout, start_velocity
+from edream.sim.servo import geared_readings
 from edream.sim.simulation import SimulatedRobot
 
 Step = Callable[[mujoco.MjModel, mujoco.MjData], None]
@@ -103,7 +104,10 @@ def plain_loop(robot: RobotModel, make: Callable[[mujoco.MjModel], Step], window
 
 
 def _start(model: mujoco.MjModel, data: mujoco.MjData, window: Window, index: Sequence[Mapping[str, int]]) -> None:
-    for joint, one, position, speed in zip(window.episode.joints, index, window.measured[0], start_velocity(window), strict=True):
+    geared = geared_readings(model, window.episode.joints)
+    for joint, one, reading, rate in zip(window.episode.joints, index, window.measured[0], start_velocity(window), strict=True):
+        gear = float(model.actuator_gear[geared[joint], 0]) if joint in geared else 1.0
+        position, speed = reading / gear, rate / gear
         data.qpos[one["qpos"]], data.qvel[one["dof"]] = position, speed
         twin = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, joint + MOTOR_SUFFIX)
         if twin >= 0:

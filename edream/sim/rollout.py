@@ -13,6 +13,7 @@ from edream.core.effect import MEASURED_SUFFIX, MOTOR_SUFFIX, joint_index
 from edream.core.episode import Episode
 from edream.sim.hooks import batch_hooks
 from edream.sim.rotor import has_rotor, wind_up
+from edream.sim.servo import geared_readings
 from edream.sim.simulation import SimulatedRobot, write_fields
 
 CHUNK = 100
@@ -160,24 +161,27 @@ class _Replay:
         """Put every simulation at its window's first measured state, with the command history that led there."""
         self.batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
         qpos, qvel = self.batch.bind("qpos"), self.batch.bind("qvel")
+        geared = geared_readings(self.model, joints)
+        gear = self.batch.expand("actuator_gear") if geared else None
         self.commands = [_held_commands(window, self.step, steps) for window, steps in zip(self.windows, self.steps, strict=True)]
         for number, window in enumerate(self.windows):
             rows = slice(number * self.n, (number + 1) * self.n)
             velocity = start_velocity(window)
             for joint, index, position, speed in zip(joints, self.index, window.measured[0], velocity, strict=True):
-                qpos[rows, index["qpos"]] = position
-                qvel[rows, index["dof"]] = speed
+                own = gear[rows, geared[joint], 0] if gear is not None and joint in geared else 1.0
+                qpos[rows, index["qpos"]] = position / own
+                qvel[rows, index["dof"]] = speed / own
                 twin = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_JOINT, joint + MOTOR_SUFFIX)
                 if twin >= 0:
-                    qpos[rows, self.model.jnt_qposadr[twin]] = position
-                    qvel[rows, self.model.jnt_dofadr[twin]] = speed
+                    qpos[rows, self.model.jnt_qposadr[twin]] = position / own
+                    qvel[rows, self.model.jnt_dofadr[twin]] = speed / own
             _start_actuators(self.batch, self.model, self.index, rows, window, self.step)
             self.batch.bind("ctrl")[rows, self.ctrl_columns] = self.commands[number][0]
-        geared = any(has_rotor(self.model, joint) for joint in joints)
-        if geared:
+        rotors = any(has_rotor(self.model, joint) for joint in joints)
+        if rotors:
             self.batch.forward()
             self._wind_up()
-        if geared or self.hooks is not None or self.record == "sensordata":
+        if rotors or self.hooks is not None or self.record == "sensordata":
             self.batch.forward()
 
     def _wind_up(self) -> None:

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from edream.core.effect import MOTOR_SUFFIX, Fields, joint_index
+from edream.core.effect import MEASURED_SUFFIX, MOTOR_SUFFIX, Fields, joint_index
 from edream.core.errors import EdreamError
 from edream.core.parameters import Parameter
 
@@ -68,6 +68,29 @@ def driven_joints(spec: mujoco.MjSpec) -> list[str]:
     names = {joint.name for joint in spec.joints}
     links = [name.removesuffix(MOTOR_SUFFIX) for name in driven]
     return [link if link in names else name for link, name in zip(links, driven, strict=True)]
+
+
+def read_by_sensors(spec: mujoco.MjSpec) -> None:
+    """Give every driven joint that has none a sensor of its position, `<joint>_measured`."""
+    named = {sensor.name for sensor in spec.sensors}
+    for joint in driven_joints(spec):
+        if joint + MEASURED_SUFFIX not in named:
+            spec.add_sensor(
+                name=joint + MEASURED_SUFFIX,
+                type=mujoco.mjtSensor.mjSENS_JOINTPOS,
+                objtype=mujoco.mjtObj.mjOBJ_JOINT,
+                objname=joint,
+            )
+
+
+def geared_readings(model: mujoco.MjModel, joints: Sequence[str]) -> dict[str, int]:
+    """Joints whose position is read through the gear of their servo, and the servo's number: the joint is at reading / gear."""
+    out = {}
+    for joint in joints:
+        sensor = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SENSOR, joint + MEASURED_SUFFIX)
+        if sensor >= 0 and int(model.sensor_type[sensor]) == int(mujoco.mjtSensor.mjSENS_ACTUATORPOS):
+            out[joint] = int(model.sensor_objid[sensor])
+    return out
 
 
 def damping_inside(model: mujoco.MjModel, targets: Sequence[str]) -> Parameter:

@@ -42,7 +42,9 @@ def stock(model: mujoco.MjModel, hook: object, episode: Episode) -> np.ndarray:
     """A plain loop as anyone would write it: hold commands, step, interpolate at the measured times."""
     data = mujoco.MjData(model)
     joints = [model.joint(name) for name in episode.joints]
-    for joint, position in zip(joints, episode.position[0], strict=True):
+    for joint, reading in zip(joints, episode.position[0], strict=True):
+        driving = [a for a in range(model.nactuator) if model.actuator_trnid[a, 0] == joint.id]
+        position = reading / (model.actuator_gear[driving[0], 0] if driving else 1.0)  # gear_ratio: an encoder before the gear
         data.qpos[joint.qposadr] = position
         twin = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, joint.name + "_motor")
         if twin >= 0:
