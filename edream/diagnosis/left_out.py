@@ -1,7 +1,7 @@
 """Errors on motions that a fit did not see, and what they are worth."""
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from edream.diagnosis.descent import Fit, step_from
 from edream.diagnosis.problem import Problem
@@ -16,6 +16,11 @@ LENGTHS = (1.0, 0.5, 0.2, 0.0)  # of a step
 ASTRAY = 1.5  # times the fit's own error: a motion left out that is so much worse may say more about the step than about the model
 
 
+def folds(problem: Problem, count: int) -> Int[np.ndarray, "M"]:
+    """Which of at most five folds each of `count` motions belongs to, (M,)."""
+    return np.random.default_rng([problem.settings.seed, 11]).permutation(count) % min(FOLDS, count)
+
+
 def left_out_errors(problem: Problem, fit: Fit) -> Float[np.ndarray, "M"]:
     """Mean squared error [rad^2] of each fitted motion when its fold is left out of the last step of the fit, (M,).
 
@@ -23,7 +28,7 @@ def left_out_errors(problem: Problem, fit: Fit) -> Float[np.ndarray, "M"]:
     the values that never saw it. Where that makes it much worse than it is in the fit, shorter steps are tried, too.
     """
     windows = fit.objective.windows
-    fold = np.random.default_rng([problem.settings.seed, 11]).permutation(len(windows)) % min(FOLDS, len(windows))
+    fold = folds(problem, len(windows))
     if far_off(problem, fit) or any(place.effect.rough for place in fit.objective.simulated.placements):
         return _left_out_carefully(fit, fold)
     sets = []

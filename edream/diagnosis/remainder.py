@@ -1,9 +1,10 @@
 """What is left and has no name: a short formula for it, found by sparse regression in the simulator's own response.
 
 Each feature is a torque on the joint with the largest gap, such as a bump over its angle. A probe simulation gives what a
-little of it does to the motion; orthogonal matching pursuit picks the few whose responses explain the residual; their
-coefficients are refitted with all nuisance numbers free. Source: Pati, Rezaiifar, Krishnaprasad, Asilomar 1993 (matching
-pursuit); Brunton, Proctor, Kutz, PNAS 113(15), 2016 (sparse identification of dynamics).
+little of it does to the motion; orthogonal matching pursuit picks the few whose responses explain the residual, so many as
+predict motions that they were not picked on; their coefficients are refitted with all nuisance numbers free. Source: Pati,
+Rezaiifar, Krishnaprasad, Asilomar 1993 (matching pursuit); Brunton, Proctor, Kutz, PNAS 113(15), 2016 (sparse identification of
+dynamics).
 """
 
 from collections.abc import Mapping, Sequence
@@ -18,7 +19,7 @@ from edream.core.effect import Effect, State
 from edream.core.parameters import Parameter
 from edream.diagnosis.decide import fresh_columns, with_column
 from edream.diagnosis.descent import Fit, descend
-from edream.diagnosis.left_out import bootstrap, left_out_errors
+from edream.diagnosis.left_out import bootstrap, folds, left_out_errors
 from edream.diagnosis.problem import Problem
 from edream.diagnosis.screen import Projection, extend
 from edream.sim.scales import torque_scale
@@ -133,7 +134,7 @@ def find_remainder(problem: Problem, fit: Fit, beside_names: bool = False) -> Re
     sets = np.repeat(absent[None], len(candidates) + 1, axis=0)
     sets[1:, len(fit.unit) :] += np.diag(steps)
     residuals = extended.residuals(sets)
-    chosen = _pursue(Projection(fit.jacobian), residuals, fit)
+    chosen = chosen_terms(problem, fit, residuals)
     if not chosen:
         return None
     names = [candidates[i] for i in chosen]
@@ -178,22 +179,44 @@ def _scales(problem: Problem, joint: str, names: Sequence[str]) -> list[float]:
     return [typical.get(name, 1.0) for name in names]
 
 
-def _pursue(projection: Projection, residuals: Float[np.ndarray, "F R"], fit: Fit) -> list[int]:
-    """Orthogonal matching pursuit over the terms' responses."""
-    responses = np.stack([projection.out(r - residuals[0]) for r in residuals[1:]])
-    target = projection.out(residuals[0])
+def chosen_terms(problem: Problem, fit: Fit, residuals: Float[np.ndarray, "F R"]) -> list[int]:
+    """Terms by orthogonal matching pursuit, as many as predict motions best that neither the choice nor the coefficients saw.
+
+    Args:
+        problem: whose seed deals the motions into folds.
+        fit: the model without the terms.
+        residuals: without any term [rad], and with a little of each.
+    """
+    changes, residual = (residuals[1:] - residuals[0]).T, residuals[0]
+    owner = np.asarray(fit.objective.owner)
+    fold = folds(problem, len(fit.objective.windows))[owner]
+    errors = np.zeros(MOST_TERMS + 1)
+    for one in range(fold.max() + 1):
+        seen, unseen = fold != one, fold == one
+        order = _pursue(fit.jacobian[seen], changes[seen], residual[seen])
+        for count in range(MOST_TERMS + 1):
+            used = order[:count]
+            columns = np.hstack([fit.jacobian, changes[:, used]])
+            solved = np.linalg.lstsq(columns[seen], -residual[seen], rcond=1e-6)[0]
+            errors[count] += float(np.sum((residual[unseen] + columns[unseen] @ solved) ** 2))
+    return _pursue(fit.jacobian, changes, residual)[: int(np.argmin(errors))]
+
+
+def _pursue(jacobian: Float[np.ndarray, "R P"], changes: Float[np.ndarray, "R F"], residual: Float[np.ndarray, "R"]) -> list[int]:
+    """Orthogonal matching pursuit over the terms' responses, what the nuisance numbers can do taken out; best term first."""
+    projection = Projection(jacobian)
+    responses, target = projection.out(changes), projection.out(residual)
     total = float(target @ target)
-    sizes = np.linalg.norm(responses, axis=1)
+    sizes = np.linalg.norm(responses, axis=0)
     usable = sizes > 1e-9 * np.sqrt(len(target))
     chosen: list[int] = []
     left = target
     for _ in range(MOST_TERMS):
-        match = np.where(usable, np.abs(responses @ left) / np.maximum(sizes, 1e-30), 0.0)
+        match = np.where(usable, np.abs(left @ responses) / np.maximum(sizes, 1e-30), 0.0)
         match[chosen] = 0.0
         best = int(np.argmax(match))
-        columns = responses[[*chosen, best]].T
-        solved = np.linalg.lstsq(columns, target, rcond=1e-6)[0]
-        remaining = target - columns @ solved
+        columns = responses[:, [*chosen, best]]
+        remaining = target - columns @ np.linalg.lstsq(columns, target, rcond=1e-6)[0]
         if float(left @ left - remaining @ remaining) < SMALLEST_GAIN * total:
             break
         chosen.append(best)

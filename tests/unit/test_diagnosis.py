@@ -18,6 +18,7 @@ from edream.diagnosis.left_out import left_out_errors
 from edream.diagnosis.next_motion import as_window, draw, room_of, separations, suggest
 from edream.diagnosis.nuisance import fit_nuisance, published
 from edream.diagnosis.problem import Problem, Settings, measurement_noise, nuisance_placements, prepare
+from edream.diagnosis.remainder import chosen_terms
 from edream.diagnosis.rough import rough_candidates, searched
 from edream.diagnosis.screen import ENOUGH, Scored, extend, finalists, fits_beside, screen, thinned, waves, with_quantities
 from edream.diagnosis.verdict import Named, falls_short, is_strange, judge, sentence
@@ -186,6 +187,16 @@ def test_a_real_gap_that_nothing_explains_is_not_called_agreement() -> None:
     assert judge([], None, 5.0, False) == "unnamed"
     said = sentence("unnamed", [], None, ("a",))
     assert "no effect in the library explains" in said and "agrees" not in said
+
+
+@pytest.mark.parametrize("strength", [0.0, 1.0])
+def test_a_formula_has_as_many_terms_as_motions_left_out_bear_out(problem: Problem, fit: Fit, strength: float) -> None:
+    rng = np.random.default_rng(4)
+    changes = rng.normal(0.0, 1e-4, (40, len(fit.residual)))
+    hidden = strength * (3.0 * changes[7] - 2.0 * changes[30])
+    rows = rng.normal(0.0, 3e-4, len(fit.residual)) - hidden
+    found = chosen_terms(problem, replace(fit, residual=rows), np.vstack([rows, rows + changes]))
+    assert set(found) == ({7, 30} if strength else set())
 
 
 @pytest.mark.parametrize(("speed", "stands_"), [(0.8, True), (0.0500001, False), (999.9, False)])
