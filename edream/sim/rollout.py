@@ -18,6 +18,7 @@ from edream.sim.simulation import SimulatedRobot, write_fields
 
 CHUNK = 100
 FEW = 64  # simulations
+SETS_OUT = 1.3  # times as far as at the speed of the first row: twice from rest, once in steady motion
 BatchHook = Callable[[batch.Batch], Callable[[], None]]
 
 
@@ -67,11 +68,21 @@ def _row_at(episode: Episode, time: float) -> int:
 
 
 def start_velocity(window: Window) -> Float[np.ndarray, "J"]:
-    """Joint velocities at the window's start [rad/s]: the slope of a line through up to five measurements around it."""
+    """Joint velocities at the window's start [rad/s]: the slope of a line through up to five measurements around it.
+
+    Where a recording begins, a joint that comes more than two and a half times as far in two rows as in one sets out from rest, as
+    under a command that jumps; its velocity is 0.
+    """
     episode, row = window.episode, window.first
     rows = slice(max(0, row - 2), row + 3)
     clock = episode.times[rows] - episode.times[rows].mean()
-    return clock @ (episode.position[rows] - episode.position[rows].mean(axis=0)) / (clock @ clock)
+    slope = clock @ (episode.position[rows] - episode.position[rows].mean(axis=0)) / (clock @ clock)
+    if row > 0 or len(episode.position) < 3:
+        return slope
+    clock, way = episode.times[1:3] - episode.times[0], episode.position[1:3] - episode.position[0]
+    coasting = way[0] * clock[1] / clock[0]  # how far the first row's speed would have brought it
+    sets_out = (way[0] * way[1] >= 0.0) & (np.abs(way[1]) > SETS_OUT * np.abs(coasting))
+    return np.where(sets_out, 0.0, slope)
 
 
 def rollout(
