@@ -4,9 +4,12 @@ import mujoco
 import numpy as np
 import pytest
 
+from edream.catalog import load
+from edream.core.effect import Effect
 from edream.core.episode import Episode
 from edream.sim.robot import RobotModel
-from edream.sim.rollout import Window, start_velocity
+from edream.sim.rollout import Window, rollout, start_velocity
+from edream.sim.simulation import Placement, SimulatedRobot
 
 ARM = RobotModel(
     "arm",
@@ -51,3 +54,50 @@ def test_a_joint_that_moves_already_keeps_its_speed(rate: float, speed: float, a
 
 def test_a_joint_that_rests_has_no_speed_worth_the_name() -> None:
     assert abs(start_velocity(Window(_recorded(0.0, 50.0, 0.0), 0, 15))[0]) < 3.0 * NOISE * 50.0
+
+
+SWING = 0.5 * np.sin(4.0 * np.pi * np.linspace(0.0, 1.0, 400))
+TIMES = 0.01 * np.arange(400)
+
+
+def _moved(told: np.ndarray) -> np.ndarray:
+    """Where the arm goes under what its servo makes of the commands, one a row."""
+    model, out = ARM.spec().compile(), []
+    data = mujoco.MjData(model)
+    for now in told:
+        out.append(float(data.qpos[0]))
+        data.ctrl[0] = now
+        mujoco.mj_step(model, data, 20)
+    return np.array(out)
+
+
+def _replayed(effect: str, values: list[float], read: np.ndarray) -> np.ndarray:
+    """A stretch from the middle of the motion with an effect, (60,)."""
+    episode = Episode("one", ("a",), TIMES, read[:, None], TIMES, SWING[:, None])
+    place = Placement(load("effects", effect, Effect), ("a",))
+    ((replayed,),) = rollout(SimulatedRobot(ARM, (place,)), np.array([values]), [Window(episode, 90, 150)])
+    return replayed[:, 0] - read[90:151]
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.03])
+def test_a_replay_with_late_readings_begins_where_the_joint_was_and_not_where_it_was_said_to_be(delay: float) -> None:
+    read = np.interp(TIMES - delay, TIMES, _moved(SWING))
+    assert np.abs(_replayed("sensor_delay", [delay], read)).max() < 4e-4
+
+
+@pytest.mark.parametrize(("effect", "number"), [("actuator_lag", 0.08), ("slew_limit", 1.2)])
+def test_a_replay_begins_with_the_setpoint_on_its_way_to_the_command(effect: str, number: float) -> None:
+    setpoint, told = SWING[0], []
+    for command in SWING:
+        for _ in range(20):  # the servo's own small steps
+            far = command - setpoint
+            setpoint += far * 5e-4 / number if effect == "actuator_lag" else np.clip(far, -number * 5e-4, number * 5e-4)
+            told.append(setpoint)
+    model, read = ARM.spec().compile(), []
+    data = mujoco.MjData(model)
+    for step, now in enumerate(told):
+        if step % 20 == 0:
+            read.append(float(data.qpos[0]))
+        data.ctrl[0] = now
+        mujoco.mj_step(model, data)
+    assert np.abs(_replayed(effect, [number], np.array(read))).max() < 2e-3
