@@ -39,7 +39,7 @@ from edream.ingest.mapping import MappingConfig
 from edream.ingest.recordings import ingest_recordings
 from edream.record import RecordConfig, record
 from edream.sim.objective import Objective, rms
-from edream.sim.rollout import whole
+from edream.sim.window import whole
 from edream.stages.fit import with_surrogate
 from edream.stages.sweep import SweepSettings, sweep, windows_of
 

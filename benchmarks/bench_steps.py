@@ -22,7 +22,7 @@ from edream import config
 from edream.calibration.settings import RobotSettings, SpaceSettings, simulated_robot
 from edream.calibration.windows import simulate
 from edream.core.episode import Episode
-from edream.sim.rollout import Window
+from edream.sim.window import Window
 
 
 def main() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 from edream.core.effect import joint_index
 from edream.sim.differences import STEP
 from edream.sim.objective import Objective
-from edream.sim.rollout import start_velocity
+from edream.sim.start import start_velocity
 
 
 class ModelFields:

@@ -17,8 +17,9 @@ from edream.cli import app
 from edream.core.episode import Episode, Recording
 from edream.core.format import Malformed, ReadOptions
 from edream.learn.policy import PolicyShape, Seen
-from edream.sim.rollout import rollout, whole
+from edream.sim.rollout import rollout
 from edream.sim.simulation import Placement, SimulatedRobot
+from edream.sim.window import whole
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = sorted([*(ROOT / "docs").rglob("*.md"), ROOT / "README.md"])

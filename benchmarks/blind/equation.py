@@ -17,7 +17,7 @@ from scipy.signal import savgol_filter
 from edream.core.effect import Effect, State, joint_index
 from edream.core.parameters import Parameter
 from edream.diagnosis.problem import Problem
-from edream.sim.rollout import Window
+from edream.sim.window import Window
 
 SMOOTHED = 9  # rows of the quadratic filter that differentiates positions
 THRESHOLD = 0.05  # share of the residual's size below which a term is dropped

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from edream.core.episode import Episode
-from edream.sim.rollout import Window, split
+from edream.sim.window import Window, split
 
 
 def stretches(episodes: Sequence[Episode], seconds: float, total: float, until: float | None) -> list[Window]:

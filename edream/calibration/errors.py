@@ -7,8 +7,9 @@ import numpy as np
 
 from edream.calibration.pose import Chain, pose_error
 from edream.core.episode import Episode
-from edream.sim.rollout import Window, rollout, split, whole
+from edream.sim.rollout import rollout
 from edream.sim.simulation import SimulatedRobot
+from edream.sim.window import Window, split, whole
 
 HORIZONS = (0.1, 0.5, 2.0)  # s
 MOST_WINDOWS = 400

@@ -11,7 +11,7 @@ from scipy.optimize import lsq_linear
 from edream.sim.differences import WIDE, blocks, jacobian_along_axes, straight
 from edream.sim.least_squares import Solution, solve, worth
 from edream.sim.objective import Objective, rms
-from edream.sim.rollout import Window
+from edream.sim.window import Window
 
 SETTLED = 0.8  # a noise that falls less than this any more does not change the weight of the priors
 PASSES = 3

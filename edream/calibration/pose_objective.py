@@ -10,8 +10,9 @@ from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
 from edream.calibration.pose import Chain
-from edream.sim.rollout import Window, rollout
+from edream.sim.rollout import rollout
 from edream.sim.simulation import SimulatedRobot
+from edream.sim.window import Window
 
 UNSTABLE = 3.0
 SOFT = 1e-3  # m or rad: below it an error counts by its square, so that the loss has a derivative at 0

@@ -7,8 +7,10 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from edream.core.episode import Episode
-from edream.sim.rollout import Window, rollout, start_velocity
+from edream.sim.rollout import rollout
 from edream.sim.simulation import SimulatedRobot
+from edream.sim.start import start_velocity
+from edream.sim.window import Window
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,7 @@ from edream.core.parameters import ParameterSpace
 from edream.sim.differences import STEP, jacobian, jacobian_along_axes, nearly, straight
 from edream.sim.least_squares import worth
 from edream.sim.objective import Objective, rms
-from edream.sim.rollout import Window
+from edream.sim.window import Window
 
 STRETCH = 1.5  # s
 LONGEST_STEP = 0.2  # of the unit box

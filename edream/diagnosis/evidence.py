@@ -11,8 +11,9 @@ import pyarrow as pa
 from edream.diagnosis.descent import Fit
 from edream.diagnosis.problem import Problem
 from edream.diagnosis.verdict import Diagnosis
-from edream.sim.rollout import Window, rollout
+from edream.sim.rollout import rollout
 from edream.sim.simulation import SimulatedRobot
+from edream.sim.window import Window
 
 
 def evidence(found: Diagnosis) -> Mapping[str, Any]:

@@ -12,7 +12,8 @@ from edream.core.effect import holds_position
 from edream.core.episode import Episode
 from edream.diagnosis.descent import Fit
 from edream.diagnosis.problem import Problem
-from edream.sim.rollout import Window, rollout
+from edream.sim.rollout import rollout
+from edream.sim.window import Window
 
 SECONDS, RATE, SETTLE = 20.0, 50.0, 1.0
 DRAWN, JUDGED, CHANGED = 40, 6, 4
@@ -37,7 +38,6 @@ class Motion:
     times: Float[np.ndarray, "K"]
     command: Float[np.ndarray, "K J"]
     evidence: float
-
 
     def table(self) -> str:
         """The commands as CSV: time [s], a column [rad or m] a joint."""

@@ -13,8 +13,8 @@ from edream.core.effect import Effect
 from edream.core.episode import Episode
 from edream.core.errors import EdreamError, unknown_name
 from edream.sim.robot import RobotModel, joint_groups
-from edream.sim.rollout import Window, whole
 from edream.sim.simulation import Placement, Scaling
+from edream.sim.window import Window, whole
 
 CREDIBLE_FACTOR = 2.5
 SHORTEST = 4.0  # s

@@ -29,10 +29,10 @@ def rough_candidates(problem: Problem, fit: Fit) -> list[Candidate]:
 
 
 def searched(problem: Problem, fit: Fit, candidate: Candidate) -> Fit:
-    """The fit with a rough effect on one joint, its nuisance numbers begun at the centres of their priors, which have not made up for it.
+    """The fit with a rough effect on one joint, its nuisance numbers begun at the centres of their priors.
 
-    The centres are the published numbers where those are credible; effects found before stay as they are. CMA-ES over the
-    joint's own numbers on a few motions, then a descent of all numbers on all motions.
+    The centres, which have not made up for the effect, are the published numbers where those are credible; effects found before
+    stay as they are. CMA-ES over the joint's own numbers on a few motions, then a descent of all numbers on all motions.
     """
     place = placement(problem, candidate)
     extended, absent = extend(fit, [place])

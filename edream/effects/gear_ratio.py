@@ -19,9 +19,9 @@ class GearRatio(Effect):
         tau = kp (r u - s q) - kv qd,  q_measured = s q
 
     With r alone the joint turns more, or less, than it is told, whatever the load. With s alone it is where its encoder says it
-    should be, but not where the model has it, which only weight and inertia tell. Writes the servo's `gear` (s) and gains, and reads
-    the joint by an `actuatorpos` sensor `<joint>_measured`; a replay begins at q = q_measured / s. Parameters: ratio r [1],
-    encoder s [1]. Source: MuJoCo computation chapter, actuation model; MuJoCo XML reference, actuator/general/gear.
+    should be, but not where the model has it, which only weight and inertia tell. Writes the servo's `gear` (s) and gains, and
+    reads the joint by an `actuatorpos` sensor `<joint>_measured`; a replay begins at q = q_measured / s. Parameters: ratio r
+    [1], encoder s [1]. Source: MuJoCo computation chapter, actuation model; MuJoCo XML reference, actuator/general/gear.
     """
 
     name = "gear_ratio"

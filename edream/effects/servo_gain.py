@@ -33,13 +33,15 @@ class ServoGain(Effect):
         actuator = joint_index(model, targets[0])["actuator"]
         position = [holds_position(model, target) for target in targets]
         if len(set(position)) > 1:
-            raise EdreamError(f"Joints {', '.join(targets)} are tied, but only some hold a position; tie joints with servos of one kind.")
+            tied = ", ".join(targets)
+            raise EdreamError(f"Joints {tied} are tied, but only some hold a position; tie joints with servos of one kind.")
         if position[0]:
             kp = -float(model.actuator_biasprm[actuator, 1])
             return (Parameter("kp", "N m/rad", kp / 200.0, kp * 10.0, kp, scale="log"),)
         gain = float(model.actuator_gainprm[actuator, 0])
         if gain <= 0.0:
-            raise EdreamError(f"The actuator of joint {targets[0]!r} has a gain of {gain:g}; expected a motor, position or velocity servo.")
+            kinds = "a motor, position or velocity servo"
+            raise EdreamError(f"The actuator of joint {targets[0]!r} has a gain of {gain:g}; expected {kinds}.")
         # nothing but weight tells a motor's gain from all that it works against, so that far is enough
         low, high = (gain / 2.0, gain * 2.0) if model.actuator_biasprm[actuator, 2] == 0.0 else (gain / 200.0, gain * 10.0)
         return (Parameter("gain", "N m per unit of command", low, high, gain, scale="log"),)

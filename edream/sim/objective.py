@@ -7,8 +7,9 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float
 
-from edream.sim.rollout import Window, rollout
+from edream.sim.rollout import rollout
 from edream.sim.simulation import SimulatedRobot
+from edream.sim.window import Window
 
 UNSTABLE_RESIDUAL = 10.0  # rad; what a row counts once its simulation has blown up
 

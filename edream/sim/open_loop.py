@@ -13,9 +13,11 @@ from jaxtyping import Float
 from edream.core.effect import MEASURED_SUFFIX, MOTOR_SUFFIX, joint_index
 from edream.core.errors import EdreamError
 from edream.sim.robot import RobotModel
-from edream.sim.rollout import Window, rollout, start_velocity
+from edream.sim.rollout import rollout
 from edream.sim.servo import geared_readings
 from edream.sim.simulation import SimulatedRobot
+from edream.sim.start import start_velocity
+from edream.sim.window import Window
 
 Step = Callable[[mujoco.MjModel, mujoco.MjData], None]
 

@@ -1,7 +1,6 @@
 """The one door into MuJoCo: open-loop replay of recorded commands under many parameter sets at once."""
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 
 import mujoco
@@ -10,84 +9,16 @@ from jaxtyping import Float
 from mujoco import batch
 
 from edream.core.effect import MEASURED_SUFFIX, MOTOR_SUFFIX, joint_index
-from edream.core.episode import Episode
 from edream.sim.hooks import batch_hooks
 from edream.sim.rotor import has_rotor, wind_up
 from edream.sim.servo import geared_readings
 from edream.sim.simulation import SimulatedRobot, write_fields
+from edream.sim.start import before_its_reading, reading_delays, start_actuators, start_sensors, start_velocity
+from edream.sim.window import Window
 
 CHUNK = 100
 FEW = 64  # simulations
-MEMORY = 2.0  # s of commands before a window that a filter or a slew limit may still hold
-SETS_OUT = 1.3  # times as far as at the speed of the first row: twice from rest, once in steady motion
 BatchHook = Callable[[batch.Batch], Callable[[], None]]
-
-
-@dataclass(frozen=True, eq=False)
-class Window:
-    """A stretch of an episode that is replayed open loop from its first measured state.
-
-    Attributes:
-        episode: the recorded motion.
-        first, last: rows of the first and last measurement used (last included).
-    """
-
-    episode: Episode
-    first: int
-    last: int
-
-    @property
-    def times(self) -> Float[np.ndarray, "T"]:
-        """Measurement times from the window's start [s]; the first is 0."""
-        return self.episode.times[self.first : self.last + 1] - self.episode.times[self.first]
-
-    @property
-    def measured(self) -> Float[np.ndarray, "T J"]:
-        """Measured positions [rad]; row 0 is where the simulation starts."""
-        return self.episode.position[self.first : self.last + 1]
-
-
-def whole(episodes: Sequence[Episode], until: float | None = None) -> list[Window]:
-    """Every episode as one window, cut after `until` seconds."""
-    return [Window(e, 0, len(e.times) - 1 if until is None else max(1, _row_at(e, e.times[0] + until))) for e in episodes]
-
-
-def split(episodes: Sequence[Episode], seconds: float, until: float | None = None) -> list[Window]:
-    """Every episode cut into consecutive windows of about `seconds`, each restarting at a measured state."""
-    windows = []
-    for window in whole(episodes, until):
-        episode = window.episode
-        start, end = episode.times[0], episode.times[window.last]
-        count = max(1, round((end - start) / seconds))
-        rows = [_row_at(episode, start + (end - start) * i / count) for i in range(count)] + [window.last]
-        windows += [Window(episode, a, b) for a, b in pairwise(rows) if b > a]
-    return windows
-
-
-def _row_at(episode: Episode, time: float) -> int:
-    return int(np.clip(np.searchsorted(episode.times, time, side="right") - 1, 0, len(episode.times) - 1))
-
-
-def start_velocity(window: Window) -> Float[np.ndarray, "J"]:
-    """Joint velocities at the window's start [rad/s]: the slope of a line through up to five measurements around it.
-
-    Where a recording begins, a joint that comes more than two and a half times as far in two rows as in one sets out from rest, as
-    under a command that jumps; its velocity is 0.
-    """
-    episode, row = window.episode, window.first
-    slope = _slope(episode, row)
-    if row > 0 or len(episode.position) < 3:
-        return slope
-    clock, way = episode.times[1:3] - episode.times[0], episode.position[1:3] - episode.position[0]
-    coasting = way[0] * clock[1] / clock[0]  # how far the first row's speed would have brought it
-    sets_out = (way[0] * way[1] >= 0.0) & (np.abs(way[1]) > SETS_OUT * np.abs(coasting))
-    return np.where(sets_out, 0.0, slope)
-
-
-def _slope(episode: Episode, row: int) -> Float[np.ndarray, "J"]:
-    rows = slice(max(0, row - 2), row + 3)
-    clock = episode.times[rows] - episode.times[rows].mean()
-    return clock @ (episode.position[rows] - episode.position[rows].mean(axis=0)) / (clock @ clock)
 
 
 def rollout(
@@ -182,11 +113,11 @@ class _Replay:
         self.commands = [_held_commands(window, self.step, steps) for window, steps in zip(self.windows, self.steps, strict=True)]
         for number, window in enumerate(self.windows):
             rows = slice(number * self.n, (number + 1) * self.n)
-            delays = _reading_delays(self.batch, self.model, window, rows)
+            delays = reading_delays(self.batch, self.model, window, rows)
             velocity = start_velocity(window)
             for joint, index, position, speed in zip(joints, self.index, window.measured[0], velocity, strict=True):
                 if joint in delays:
-                    position, speed = _before_its_reading(window, joint, delays[joint])
+                    position, speed = before_its_reading(window, joint, delays[joint])
                 own = gear[rows, geared[joint], 0] if gear is not None and joint in geared else 1.0
                 qpos[rows, index["qpos"]] = position / own
                 qvel[rows, index["dof"]] = speed / own
@@ -194,8 +125,8 @@ class _Replay:
                 if twin >= 0:
                     qpos[rows, self.model.jnt_qposadr[twin]] = position / own
                     qvel[rows, self.model.jnt_dofadr[twin]] = speed / own
-            _start_actuators(self.batch, self.model, self.index, rows, window, self.step)
-            _start_sensors(self.batch, self.model, rows, window, self.step, delays)
+            start_actuators(self.batch, self.model, self.index, rows, window, self.step)
+            start_sensors(self.batch, self.model, rows, window, self.step, delays)
             self.batch.bind("ctrl")[rows, self.ctrl_columns] = self.commands[number][0]
         rotors = any(has_rotor(self.model, joint) for joint in joints)
         if rotors:
@@ -330,86 +261,3 @@ def _enabled(window: Window, step: float) -> list[tuple[int, bool]]:
         if bool(episode.enabled[k]) != changes[-1][1]:
             changes.append((max(1, round((episode.command_times[k] - now) / step)), bool(episode.enabled[k])))
     return changes
-
-
-def _start_actuators(
-    simulations: batch.Batch, model: mujoco.MjModel, index: Sequence[dict[str, int]], rows: slice, window: Window, step: float
-) -> None:
-    """Fill the actuators' activations and history buffers with the commands given before the window began."""
-    episode, now = window.episode, window.episode.times[window.first]
-    act, history = simulations.bind("act"), simulations.bind("history")
-    for column, one in enumerate(index):
-        actuator = one["actuator"]
-        if _holds_setpoint(model, actuator):
-            act[rows, model.actuator_actadr[actuator]] = _setpoint(simulations, model, actuator, rows, window, column)
-        samples = int(model.actuator_history[actuator][0])
-        if samples:
-            clock = now - step * np.arange(samples, 0, -1)
-            past = episode.command[np.maximum(np.searchsorted(episode.command_times, clock + 1e-9, side="right") - 1, 0), column]
-            start = int(model.actuator_historyadr[actuator]) + 2 + samples
-            history[rows, start : start + samples] = past
-
-
-def _setpoint(
-    simulations: batch.Batch, model: mujoco.MjModel, actuator: int, rows: slice, window: Window, column: int
-) -> Float[np.ndarray, "N"]:
-    """Where a filter or a slew limit has brought the setpoint as a window begins, after the commands of the last seconds."""
-    episode, now = window.episode, window.episode.times[window.first]
-    law = np.array(simulations.expand("actuator_dynprm")[rows, actuator])
-    end = max(1, int(np.searchsorted(episode.command_times, now + 1e-9, side="right")))
-    begin = min(int(np.searchsorted(episode.command_times, now - MEMORY)), end - 1)
-    clock = np.append(episode.command_times[begin:end], max(now, episode.command_times[end - 1]))
-    out = np.full(len(law), episode.command[begin, column])
-    for told, passed in zip(episode.command[begin:end, column], np.diff(clock), strict=True):
-        if int(model.actuator_dyntype[actuator]) == int(mujoco.mjtDyn.mjDYN_PID):
-            out += np.clip(told - out, -law[:, 1] * passed, law[:, 1] * passed)
-        else:
-            out = told + (out - told) * np.exp(-passed / np.maximum(law[:, 0], 1e-9))
-    return out
-
-
-def _start_sensors(
-    simulations: batch.Batch, model: mujoco.MjModel, rows: slice, window: Window, step: float, delays: Mapping[str, np.ndarray]
-) -> None:
-    """Fill the sensors' history buffers with where the joints were before the window began, which their readings said later."""
-    episode, now = window.episode, window.episode.times[window.first]
-    history = simulations.bind("history")
-    for sensor, joint in _delayed_sensors(model, episode.joints):
-        samples, column = int(model.sensor_history[sensor][0]), episode.joints.index(joint)
-        start = int(model.sensor_historyadr[sensor]) + 2 + samples
-        clock = now - step * np.arange(samples, 0, -1) + np.expand_dims(delays.get(joint, np.zeros(1)), 1)
-        history[rows, start : start + samples] = np.interp(clock, episode.times, episode.position[:, column])
-
-
-def _delayed_sensors(model: mujoco.MjModel, joints: Sequence[str]) -> list[tuple[int, str]]:
-    """Sensors of these joints that keep a history, and each one's joint."""
-    named = [(sensor, model.sensor(sensor).name.removesuffix(MEASURED_SUFFIX)) for sensor in range(model.nsensor)]
-    return [(sensor, joint) for sensor, joint in named if int(model.sensor_history[sensor][0]) and joint in joints]
-
-
-def _reading_delays(
-    simulations: batch.Batch, model: mujoco.MjModel, window: Window, rows: slice
-) -> dict[str, Float[np.ndarray, "N"]]:
-    """Delay of each delayed joint's readings [s]; none where a recording begins, since what was read before is not known."""
-    delayed = _delayed_sensors(model, window.episode.joints) if window.first else []
-    return {joint: np.array(simulations.expand("sensor_delay")[rows, sensor]) for sensor, joint in delayed}
-
-
-def _before_its_reading(
-    window: Window, joint: str, delay: Float[np.ndarray, "N"]
-) -> tuple[Float[np.ndarray, "N"], Float[np.ndarray, "N"]]:
-    """Where a joint is as a window begins, and how fast [rad, rad/s]: what its readings say a delay later."""
-    episode, column = window.episode, window.episode.joints.index(joint)
-    clock = episode.times[window.first] + delay
-    last = min(int(np.searchsorted(episode.times, clock.max())), len(episode.times) - 1)
-    rows = range(window.first, last + 1)
-    slopes = [_slope(episode, row)[column] for row in rows]
-    return np.interp(clock, episode.times, episode.position[:, column]), np.interp(clock, episode.times[rows], slopes)
-
-
-def _holds_setpoint(model: mujoco.MjModel, actuator: int) -> bool:
-    """Whether the actuator's first activation is a setpoint on its way to the command (a filter or a slew limit)."""
-    dynamics = int(model.actuator_dyntype[actuator])
-    if dynamics == int(mujoco.mjtDyn.mjDYN_PID):
-        return bool(model.actuator_dynprm[actuator, 1] > 0.0)
-    return dynamics in (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT))

@@ -27,8 +27,8 @@ from edream.ingest.stored import stored_episodes
 from edream.sim.differences import jacobian
 from edream.sim.emit import emit
 from edream.sim.objective import Objective
-from edream.sim.rollout import whole
 from edream.sim.simulation import SimulatedRobot
+from edream.sim.window import whole
 
 MODEL, HOOK = "model.xml", "model_hook.py"
 WINDOWS = 32  # recorded windows that the surrogate descends on

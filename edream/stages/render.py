@@ -20,7 +20,7 @@ from edream.sim.camera import SimulationCamera, graphics
 from edream.sim.meshes import lightened
 from edream.sim.open_loop import open_loop
 from edream.sim.robot import RobotModel
-from edream.sim.rollout import whole
+from edream.sim.window import whole
 from edream.vision.frames import chosen_camera, positions_at, rows_at
 from edream.vision.scene_file import read_scene
 from edream.vision.views import view_name

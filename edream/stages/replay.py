@@ -18,8 +18,8 @@ from edream.core.stage import Artifact, Bundle, Source, Stage, Work
 from edream.ingest.stored import stored_episodes
 from edream.sim.open_loop import open_loop
 from edream.sim.robot import RobotModel
-from edream.sim.rollout import whole
 from edream.sim.simulation import Placement, Scaling, SimulatedRobot
+from edream.sim.window import whole
 
 UNSTABLE = 10.0  # rad; what a simulation that blew up counts as
 

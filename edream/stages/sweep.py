@@ -23,8 +23,8 @@ from edream.core.errors import require
 from edream.core.stage import Artifact, Bundle, Source, Stage, Work
 from edream.ingest.episode_read import read_episode
 from edream.ingest.stored import stored_episodes, stored_index
-from edream.sim.rollout import Window
 from edream.sim.simulation import SimulatedRobot
+from edream.sim.window import Window
 
 NEAREST = 0.15  # share of the sets so far that the next round is drawn around
 

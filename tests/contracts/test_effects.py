@@ -14,8 +14,9 @@ from edream.core.effect import Effect
 from edream.core.episode import Episode
 from edream.sim.emit import emit
 from edream.sim.robot import RobotModel, load_robot
-from edream.sim.rollout import rollout, whole
+from edream.sim.rollout import rollout
 from edream.sim.simulation import Placement, SimulatedRobot
+from edream.sim.window import whole
 
 ROBOTS = Path(__file__).resolve().parents[2] / "edream" / "robots"
 NAMES = catalog.names("effects")

@@ -12,7 +12,8 @@ from edream.calibration.surrogate import Surrogate
 from edream.calibration.windows import draw_windows, measured_sequences, simulate
 from edream.core.episode import Episode
 from edream.sim.objective import Objective
-from edream.sim.rollout import rollout, whole
+from edream.sim.rollout import rollout
+from edream.sim.window import whole
 
 NAMES = catalog.names("fitters")
 TRUTH = {"servo_gain": 0.6, "viscous": 1.5}

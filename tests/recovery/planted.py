@@ -11,8 +11,9 @@ from edream.calibration.settings import RobotSettings, SpaceSettings, simulated_
 from edream.calibration.worth import Worth, worth_of
 from edream.core.episode import Episode
 from edream.sim.objective import Objective
-from edream.sim.rollout import rollout, whole
+from edream.sim.rollout import rollout
 from edream.sim.simulation import SimulatedRobot
+from edream.sim.window import whole
 
 NOISE = 5e-4  # rad
 RATE = 50.0  # Hz

@@ -12,8 +12,9 @@ from edream.core.effect import Effect
 from edream.core.episode import Episode
 from edream.sim.emit import emit
 from edream.sim.robot import load_robot
-from edream.sim.rollout import rollout, whole
+from edream.sim.rollout import rollout
 from edream.sim.simulation import Placement, SimulatedRobot
+from edream.sim.window import whole
 
 NAMES = [name for name in catalog.names("effects") if name != "contact_friction"]
 ROBOT = load_robot(Path(__file__).resolve().parents[2] / "edream" / "robots" / "pan_tilt.xml", site="ee")

@@ -10,8 +10,9 @@ from edream import catalog
 from edream.core.effect import Effect
 from edream.core.episode import Episode
 from edream.sim.robot import RobotModel, load_robot
-from edream.sim.rollout import rollout, whole
+from edream.sim.rollout import rollout
 from edream.sim.simulation import Placement, SimulatedRobot
+from edream.sim.window import whole
 
 HELD = 0.6  # rad, where gravity pulls at the head
 

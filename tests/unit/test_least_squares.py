@@ -11,7 +11,7 @@ from edream.core.parameters import Parameter, ParameterSpace
 from edream.sim.differences import blocks, jacobian, jacobian_along_axes, nearly, sharing, straight
 from edream.sim.least_squares import solve
 from edream.sim.objective import Objective, rms
-from edream.sim.rollout import whole
+from edream.sim.window import whole
 from tests.recovery.planted import arm, motions, plant
 
 

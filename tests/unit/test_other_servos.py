@@ -17,8 +17,9 @@ from edream.diagnosis.nuisance import fit_nuisance
 from edream.diagnosis.problem import Problem, Settings, prepare
 from edream.diagnosis.screen import screen
 from edream.sim.robot import RobotModel, load_robot
-from edream.sim.rollout import rollout, whole
+from edream.sim.rollout import rollout
 from edream.sim.simulation import Placement, SimulatedRobot
+from edream.sim.window import whole
 
 POSITION_ONLY = {
     "backlash", "compliance", "dead_zone", "derivative_gain", "gear_ratio", "integral_action", "slew_limit",
@@ -58,7 +59,8 @@ def _recorded(kind: str, spring: float, count: int = 5, seconds: float = 5.0) ->
             position[row] = data.qpos
             data.ctrl[:] = told
             mujoco.mj_step(model, data, 40)
-        out.append(Episode(f"motion_{number}", robot.joints, times, position + rng.normal(0.0, 3e-4, (len(times), 2)), times, command))
+        position += rng.normal(0.0, 3e-4, position.shape)
+        out.append(Episode(f"motion_{number}", robot.joints, times, position, times, command))
     return out
 
 
@@ -99,7 +101,7 @@ def test_where_only_some_joints_hold_a_position_the_others_are_spared() -> None:
     assert Candidate("dead_zone", ("a",)) not in asked
 
 
-HAND = """<mujoco><worldbody><body name="upper"><joint name="a" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.03"/>
+HAND = """<mujoco><worldbody><body name="upper"><joint name="a" axis="0 1 0"/><geom size="0.03"/>
   <body name="hand" pos="0 0 -0.3"><joint name="b" axis="0 1 0"/><geom size="0.03"/>
     <body name="left"><joint name="left" type="slide" axis="0 1 0"/><geom size="0.01" pos="0 0.05 0"/></body>
     <body name="right"><joint name="right" type="slide" axis="0 -1 0"/><geom size="0.01" pos="0 -0.05 0"/></body></body></body>

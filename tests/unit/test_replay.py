@@ -12,8 +12,9 @@ from edream.core.episode import Episode
 from edream.core.errors import EdreamError
 from edream.sim.emit import emit
 from edream.sim.robot import load_robot
-from edream.sim.rollout import rollout, whole
+from edream.sim.rollout import rollout
 from edream.sim.simulation import Placement, Scaling, SimulatedRobot
+from edream.sim.window import whole
 from edream.stages.replay import replay
 
 ROBOT = load_robot(Path(__file__).resolve().parents[2] / "edream" / "robots" / "pan_tilt.xml", site="ee")

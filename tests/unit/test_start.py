@@ -8,8 +8,10 @@ from edream.catalog import load
 from edream.core.effect import Effect
 from edream.core.episode import Episode
 from edream.sim.robot import RobotModel
-from edream.sim.rollout import Window, rollout, start_velocity
+from edream.sim.rollout import rollout
 from edream.sim.simulation import Placement, SimulatedRobot
+from edream.sim.start import start_velocity
+from edream.sim.window import Window
 
 ARM = RobotModel(
     "arm",

@@ -10,8 +10,8 @@ from edream.calibration.settings import RobotSettings, ScaledBy, SpaceSettings, 
 from edream.core.episode import Episode
 from edream.ingest.recordings import ingest_recordings
 from edream.sim.objective import Objective, rms
-from edream.sim.rollout import Window, whole
 from edream.sim.simulation import SimulatedRobot
+from edream.sim.window import Window, whole
 
 EFFECTS = ("servo_gain", "viscous", "derivative_gain", "coulomb", "armature")
 
