@@ -10,7 +10,7 @@ from edream.core.errors import EdreamError
 from edream.core.parameters import Parameter
 from edream.sim.servo import is_pid, read_by_sensors, servo
 
-FARTHEST = 0.4  # of a turn more or less than the model's
+FARTHEST = 0.4  # more or less than one
 
 
 class GearRatio(Effect):
