@@ -65,10 +65,11 @@ def run(inputs: Mapping[str, Artifact], config: DiagnoseConfig, work: Work) -> B
     bundle: dict[str, Any] = {**evidence(found), "model.xml": made.mjcf, "difference.txt": made.difference}
     if made.hook:
         bundle[HOOK] = made.hook
-    if config.diagnose.next_motion and len(found.contenders) > 1:
+    doubted = config.diagnose.next_motion and len(found.contenders) > 1
+    if doubted:
         motion = suggest(problem, [fit for _, fit in found.contenders], work.rng)
         bundle |= motion_files(motion, work) if motion is not None else {}
-    return bundle | {"summary.json": summary(found, bundle)}
+    return bundle | {"summary.json": summary(found, bundle, advice(found, bundle) if doubted else "")}
 
 
 def motion_files(motion: Motion, work: Work) -> Bundle:
@@ -87,20 +88,18 @@ def settings_of(config: DiagnoseConfig) -> Settings:
 
 
 def advice(found: Diagnosis, bundle: Mapping[str, Any]) -> str:
-    """What to do about a doubt."""
-    if len(found.contenders) < 2:
-        return ""
+    """What to do about a doubt, for which a motion was looked for."""
     if "next_motion.csv" in bundle:
         return " Record the suggested motion."
     held = all(holds_position(found.problem.robot.model, joint) for joint in found.problem.joints)
     return " No motion of the joints would tell." if held else " Motions are suggested for position servos alone."
 
 
-def summary(found: Diagnosis, bundle: Mapping[str, Any]) -> dict[str, Any]:
-    """The result as one object; file names stand for their paths."""
+def summary(found: Diagnosis, bundle: Mapping[str, Any], more: str) -> dict[str, Any]:
+    """The result as one object; file names stand for their paths, and `more` is said after the sentence."""
     problem = found.problem
     return {
-        "sentence": f"{found.sentence}{advice(found, bundle)}",
+        "sentence": f"{found.sentence}{more}",
         "verdict": found.verdict,
         "effects": [
             {
