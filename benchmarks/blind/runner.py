@@ -163,6 +163,8 @@ def scored(case: Case, robot: RobotModel, folder: Path, result: Mapping[str, Any
             "failed": result["failed"],
         }
     row = score(case, truth, robot.model, result)
+    if "again" in result and result["verdict"] == "cannot_tell":
+        row["suggested"] = result["again"] is not None
     if result.get("again") is not None:
         second = None if "failed" in result["again"] else score(case, truth, robot.model, result["again"])
         row["resolved"] = second is not None and is_resolved(second)

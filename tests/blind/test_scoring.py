@@ -49,8 +49,9 @@ def test_a_doubt_is_resolved_by_one_right_name_and_no_other() -> None:
     assert is_resolved(scored([right]))
     assert not is_resolved(scored([effect("actuator_delay", "tilt", ("actuator_lag[tilt]",))], "cannot_tell"))
     assert not is_resolved(scored([right, wrong])) and not is_resolved(scored([wrong])) and not is_resolved(scored([], "none"))
-    rows = [scored([right]) | {"resolved": done} for done in (True, True, False)] + [scored([right])]
-    assert table(rows, 4)["resolved"] == [2, 3]
+    rows = [scored([right]) | {"resolved": done, "suggested": True} for done in (True, True, False)]
+    rows += [scored([right]) | {"suggested": False}]
+    assert table(rows, 4)["resolved"] == [2, 3] and table(rows, 4)["suggested"] == [3, 4]
     assert "| in doubt: resolved by recording the suggested motion | 2 of 3 (67%) | >= 70 % |" in markdown(table(rows, 4), rows)
 
 
