@@ -14,6 +14,7 @@ from edream.core.episode import Episode
 from edream.core.errors import EdreamError, unknown_name
 from edream.sim.robot import RobotModel, joint_groups
 from edream.sim.simulation import Placement, Scaling
+from edream.sim.touch import kept_clear
 from edream.sim.window import Window, whole
 
 CREDIBLE_FACTOR = 2.5
@@ -121,7 +122,7 @@ def prepare(robot: RobotModel, episodes: Sequence[Episode], settings: Settings) 
     windows = [window for window in whole(episodes, settings.until) if window.last - window.first >= 20]
     kept = _proof_names([w.episode.name for w in windows], settings)
     return Problem(
-        robot=robot,
+        robot=kept_clear(robot, episodes),
         settings=settings,
         groups=tuple(joint_groups(robot, settings.ties)),
         fitted=tuple(shortened([w for w in windows if w.episode.name not in kept], settings)),

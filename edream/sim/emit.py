@@ -54,11 +54,13 @@ class EmittedModel:
 
     Attributes:
         mjcf: the MJCF; meshes and textures keep their file names.
+        files: those meshes and textures, path beside the MJCF -> bytes.
         hook: a Python file with `make(model)` returning `step(model, data)`, or None where the MJCF says it all.
         difference: unified difference of the MJCF against the published robot, both written by MuJoCo.
     """
 
     mjcf: str
+    files: Mapping[str, bytes]
     hook: str | None
     difference: str
 
@@ -97,7 +99,7 @@ def emit(
     published = simulated.robot.spec()
     original = _all_digits(_compiled_xml(published), simulated.robot.mjcf, simulated.robot.model)
     lines = difflib.unified_diff(original.splitlines(), mjcf.splitlines(), "published", "with effects", lineterm="", n=2)
-    return EmittedModel(mjcf, hook_text(simulated, numbers, final), "\n".join(lines) + "\n")
+    return EmittedModel(mjcf, simulated.robot.assets, hook_text(simulated, numbers, final), "\n".join(lines) + "\n")
 
 
 def _references(simulated: SimulatedRobot) -> dict[str, float]:

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path, PurePosixPath
 
@@ -10,6 +10,7 @@ import mujoco
 
 from edream.core.effect import MOTOR_SUFFIX
 from edream.core.errors import EdreamError, unknown_name
+from edream.sim.includes import merged
 
 MAX_BYTES = 64 * 2**20
 JOINT_TRANSMISSIONS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
@@ -27,6 +28,7 @@ class RobotModel:
         assets: mesh and texture files that the text names, file name -> bytes.
         site: name of the end-effector site, or None for the last body of the chain.
         recorded: the joints that recordings are about, where the model drives more than these; empty for all.
+        clear: whether nothing touches in the recordings, so that searches may leave contacts out; see `edream.sim.touch`.
     """
 
     name: str
@@ -34,6 +36,7 @@ class RobotModel:
     assets: Mapping[str, bytes] = field(default_factory=dict)
     site: str | None = None
     recorded: tuple[str, ...] = ()
+    clear: bool = False
 
     def spec(self) -> mujoco.MjSpec:
         """A fresh, editable `mujoco.MjSpec` of this robot; links without a name are called after their joint, `<joint>_link`.
@@ -51,17 +54,28 @@ class RobotModel:
                 joint.parent.name = joint.name + LINK_SUFFIX
         return spec
 
-    @cached_property
+    @property
     def model(self) -> mujoco.MjModel:
         """The compiled model, as published. Treat as read only.
 
         Raises:
             EdreamError: MuJoCo cannot compile it.
         """
+        return self._compiled[0]
+
+    @property
+    def body_numbers(self) -> tuple[int, ...]:
+        """For each body of `spec()`, in its order, the number that it has in `model`."""
+        return self._compiled[1]
+
+    @cached_property
+    def _compiled(self) -> tuple[mujoco.MjModel, tuple[int, ...]]:
+        spec = self.spec()
         try:
-            return self.spec().compile()
+            model = spec.compile()
         except ValueError as error:
             raise EdreamError(f"Robot {self.name!r}: MuJoCo cannot compile its model: {_one_line(error)}") from error
+        return model, tuple(int(body.id) for body in spec.bodies)
 
     @cached_property
     def joints(self) -> tuple[str, ...]:
@@ -129,34 +143,11 @@ def load_robot(path: Path, name: str | None = None, site: str | None = None, rec
     if path.stat().st_size > MAX_BYTES:
         raise EdreamError(f"Robot model {path} has {path.stat().st_size} bytes; expected at most {MAX_BYTES}.")
     root = path.resolve().parent
-    text = _read_text(path)
-    includes = _files(text, root, path, tag="include")
-    for depth in range(16):
-        nested = {
-            k: v for inner in list(includes.values()) for k, v in _files(_decode(inner, path), root, path, tag="include").items()
-        }
-        if nested.keys() <= includes.keys():
-            break
-        includes |= nested
-        if depth == 15:
-            raise EdreamError(f"Robot model {path}: its includes are nested more than 16 deep.")
-    robot_name = name or path.stem
-    texts = [text, *(_decode(inner, path) for inner in includes.values())]
-    assets: dict[str, bytes] = dict(includes)
-    for one in texts:
-        assets |= _asset_files(one, texts, root, path)
-    flat = RobotModel(robot_name, text, assets, site, tuple(recorded))
-    if includes:
-        spec = flat.spec()
-        spec.compile()
-        flat = replace(flat, mjcf=spec.to_xml(), assets={k: v for k, v in assets.items() if k not in includes})
+    text = merged(_decode(path.read_bytes(), path), path, lambda name: _decode(_inside(name, root, path), path))
+    flat = RobotModel(name or path.stem, text, _asset_files(text, root, path), site, tuple(recorded))
     if site is not None and site not in [s.name for s in flat.spec().sites]:
         raise unknown_name(f"site in {path.name}", site, [s.name for s in flat.spec().sites])
     return flat
-
-
-def _read_text(path: Path) -> str:
-    return _decode(path.read_bytes(), path)
 
 
 def _decode(data: bytes, path: Path) -> str:
@@ -169,30 +160,29 @@ def _decode(data: bytes, path: Path) -> str:
     return text
 
 
-def _files(text: str, root: Path, path: Path, tag: str, folder: str = "") -> dict[str, bytes]:
-    """The files that `<tag ... file="...">` names, read from inside `root`."""
-    found = {}
-    for name in re.findall(rf'<{tag}\b[^>]*?\bfile\s*=\s*["\']([^"\']+)["\']', text):
-        relative = PurePosixPath(folder) / name.removeprefix("package://")
-        target = (root / relative).resolve()
-        if not target.is_relative_to(root):
-            raise EdreamError(f"Robot model {path} names {name!r}, which lies outside its own folder; it was not opened.")
-        if not target.is_file():
-            raise EdreamError(f"Robot model {path} names {name!r}, which does not exist at {target}.")
-        if target.stat().st_size > MAX_BYTES:
-            raise EdreamError(f"{target}, named by {path}, has {target.stat().st_size} bytes; expected at most {MAX_BYTES}.")
-        found[str(relative) if tag != "include" else name] = target.read_bytes()
-    return found
+def _inside(name: str, root: Path, path: Path) -> bytes:
+    """A file that a model names, read from inside `root`."""
+    target = (root / name).resolve()
+    if not target.is_relative_to(root):
+        raise EdreamError(f"Robot model {path} names {name!r}, which lies outside its own folder; it was not opened.")
+    if not target.is_file():
+        raise EdreamError(f"Robot model {path} names {name!r}, which does not exist at {target}.")
+    if target.stat().st_size > MAX_BYTES:
+        raise EdreamError(f"{target}, named by {path}, has {target.stat().st_size} bytes; expected at most {MAX_BYTES}.")
+    return target.read_bytes()
 
 
-def _asset_files(text: str, texts: list[str], root: Path, path: Path) -> dict[str, bytes]:
-    joined = "\n".join(texts)
+def _asset_files(text: str, root: Path, path: Path) -> dict[str, bytes]:
+    """Every mesh, height field, skin and texture that the text names: path beside the model -> bytes."""
     found: dict[str, bytes] = {}
     for tag, attribute in (("mesh", "meshdir"), ("hfield", "meshdir"), ("skin", "meshdir"), ("texture", "texturedir")):
-        named = re.search(rf'\b{attribute}\s*=\s*["\']([^"\']*)["\']', joined) or re.search(
-            r'\bassetdir\s*=\s*["\']([^"\']*)["\']', joined
+        named = re.search(rf'\b{attribute}\s*=\s*["\']([^"\']*)["\']', text) or re.search(
+            r'\bassetdir\s*=\s*["\']([^"\']*)["\']', text
         )
-        found |= _files(text, root, path, tag, folder=named.group(1) if named else "")
+        folder = PurePosixPath(named.group(1) if named else "")
+        for name in re.findall(rf'<{tag}\b[^>]*?\bfile\s*=\s*["\']([^"\']+)["\']', text):
+            relative = str(folder / name.removeprefix("package://"))
+            found[relative] = _inside(relative, root, path)
     return found
 
 

@@ -1,6 +1,8 @@
 """The one door into MuJoCo: open-loop replay of recorded commands under many parameter sets at once."""
 
-from collections.abc import Callable, Sequence
+import logging
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from itertools import pairwise
 
 import mujoco
@@ -18,6 +20,7 @@ from edream.sim.window import Window
 
 CHUNK = 100
 FEW = 64  # simulations
+log = logging.getLogger(__name__)
 BatchHook = Callable[[batch.Batch], Callable[[], None]]
 
 
@@ -64,11 +67,23 @@ def _run(
     order = np.argsort([-window.times[-1] for window in windows], kind="stable")
     ordered = [windows[i] for i in order]
     replay = _Replay(simulated, values[order], ordered, threads, hook)
-    results = replay.run()
+    with unstable_is_a_result():
+        results = replay.run()
     out: list[np.ndarray] = [results[0]] * len(windows)
     for place, result in zip(order, results, strict=True):
         out[place] = result
     return out
+
+
+@contextmanager
+def unstable_is_a_result() -> Iterator[None]:
+    """MuJoCo neither prints nor writes a log file when a simulation becomes unstable: a search tries such numbers, too."""
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(log.debug)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(before)
 
 
 class _Replay:

@@ -62,7 +62,7 @@ def run(inputs: Mapping[str, Artifact], config: DiagnoseConfig, work: Work) -> B
     with work.progress(None, "diagnosing") as bar:
         found = diagnose(problem, lambda text, n: bar.update(n))
     made = emit(found.after.objective.simulated, found.after.values)
-    bundle: dict[str, Any] = {**evidence(found), "model.xml": made.mjcf, "difference.txt": made.difference}
+    bundle: dict[str, Any] = {**evidence(found), "model.xml": made.mjcf, **made.files, "difference.txt": made.difference}
     if made.hook:
         bundle[HOOK] = made.hook
     doubted = config.diagnose.next_motion and len(found.contenders) > 1
@@ -132,4 +132,4 @@ def summary(found: Diagnosis, bundle: Mapping[str, Any], more: str) -> dict[str,
     }
 
 
-ENTRY = Stage("diagnose", 12, ("ingest",), DiagnoseConfig, run, sources, ("mujoco", "numpy", "scipy"))
+ENTRY = Stage("diagnose", 13, ("ingest",), DiagnoseConfig, run, sources, ("mujoco", "numpy", "scipy"))

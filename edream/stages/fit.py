@@ -28,6 +28,7 @@ from edream.sim.differences import jacobian
 from edream.sim.emit import emit
 from edream.sim.objective import Objective
 from edream.sim.simulation import SimulatedRobot
+from edream.sim.touch import kept_clear
 from edream.sim.window import whole
 
 MODEL, HOOK = "model.xml", "model_hook.py"
@@ -81,7 +82,7 @@ def run(inputs: Mapping[str, Artifact], config: FitConfig, work: Work) -> Bundle
     """Split, search, judge, write."""
     settings = config.fit
     train, held = split_motions(list(stored_episodes(inputs["ingest"])), settings, config.seed)
-    simulated = simulated_robot(config.robot.load(), settings)
+    simulated = simulated_robot(kept_clear(config.robot.load(), train), settings)
     space_of(simulated)
     counted = scored(simulated.robot, settings)
     objective = objective_of(simulated, train, settings, counted)
@@ -99,7 +100,7 @@ def run(inputs: Mapping[str, Artifact], config: FitConfig, work: Work) -> Bundle
     error = errors(simulated, values, train, held, counted, settings.until)
     model = emit(simulated, values)
     summary = _summary(worth, error, result, held, settings, inputs)
-    bundle: dict[str, Any] = {MODEL: model.mjcf}
+    bundle: dict[str, Any] = {MODEL: model.mjcf, **model.files}
     if model.hook:
         bundle[HOOK] = model.hook
         summary["hook"] = HOOK
@@ -245,5 +246,5 @@ def sources(config: FitConfig) -> Mapping[str, Source]:
 
 
 ENTRY = Stage(
-    name="fit", version=8, needs=needs, config=FitConfig, run=run, sources=sources, numerics=("mujoco", "scipy", "cma", "torch")
+    name="fit", version=9, needs=needs, config=FitConfig, run=run, sources=sources, numerics=("mujoco", "scipy", "cma", "torch")
 )
