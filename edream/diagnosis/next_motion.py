@@ -10,6 +10,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from edream.core.effect import holds_position
 from edream.core.episode import Episode
+from edream.diagnosis.decide import DISTINCT
 from edream.diagnosis.descent import Fit
 from edream.diagnosis.problem import Problem
 from edream.sim.rollout import rollout
@@ -19,7 +20,7 @@ SECONDS, RATE, SETTLE = 20.0, 50.0, 1.0
 DRAWN, JUDGED, CHANGED = 40, 6, 4
 MARGIN = 0.05  # of a joint's range is kept free at either end
 INVISIBLE = 0.01  # floors: predictions this near are the same
-TELLING = 1.0  # nat of evidence that a motion must promise
+TELLING = 2 * DISTINCT  # of the floor squared, the mean difference that a motion must promise: recorded as often as the others, it tells
 HASTE = 1.2  # times the fastest command of the recordings
 
 
@@ -63,7 +64,9 @@ def suggest(problem: Problem, contenders: Sequence[Fit], rng: np.random.Generato
 
         E = 1/2 d^T (s^2 I + J C J^T)^-1 d,  d = prediction 1 - prediction 2, J = d prediction / d numbers, C = their covariance;
 
-    the motion with the largest least evidence over all pairs wins; pairs that none separates are left aside.
+    the motion with the largest least evidence over all pairs wins; pairs that none separates are left aside. Evidence only counts where
+    the difference behind it is one that a verdict would count, too: two names of one thing, such as a delay of the commands and one of
+    the measurements, differ a little by where their fits have stopped, which over many measurements is much evidence for nothing.
     Source: Hunter, Reiner, Technometrics 7(3), 1965; Box, Hill, Technometrics 9(1), 1967.
 
     Args:
@@ -83,9 +86,10 @@ def suggest(problem: Problem, contenders: Sequence[Fit], rng: np.random.Generato
     changed = [mixed(one, drawn[int(rng.integers(DRAWN))], rng) for one in best for _ in range(CHANGED)]
     rough = _least(separations(problem, contenders, changed), (INVISIBLE * problem.floor) ** 2)
     best += [changed[i] for i in np.argsort(-rough)[:JUDGED]]
-    sure = _least(evidences(problem, contenders, best), TELLING)
+    worth = 0.5 * TELLING * len(best[0]) * int(problem.counted.sum()) / problem.settings.stride
+    sure = _least(evidences(problem, contenders, best), worth)
     winner = int(np.argmax(sure))
-    if sure[winner] < TELLING:
+    if sure[winner] < worth:
         return None
     times = np.arange(len(best[winner])) / RATE
     return Motion(problem.fitted[0].episode.joints, times, best[winner], float(sure[winner]))

@@ -90,9 +90,9 @@ def settings_of(config: DiagnoseConfig) -> Settings:
 def advice(found: Diagnosis, bundle: Mapping[str, Any]) -> str:
     """What to do about a doubt, for which a motion was looked for."""
     if "next_motion.csv" in bundle:
-        return " Record the suggested motion."
+        return " Record the suggested motion a few times."
     held = all(holds_position(found.problem.robot.model, joint) for joint in found.problem.joints)
-    return " No motion of the joints would tell." if held else " Motions are suggested for position servos alone."
+    return " No motion of the joints was found that would tell." if held else " Motions are suggested for position servos alone."
 
 
 def summary(found: Diagnosis, bundle: Mapping[str, Any], more: str) -> dict[str, Any]:
@@ -132,4 +132,4 @@ def summary(found: Diagnosis, bundle: Mapping[str, Any], more: str) -> dict[str,
     }
 
 
-ENTRY = Stage("diagnose", 13, ("ingest",), DiagnoseConfig, run, sources, ("mujoco", "numpy", "scipy"))
+ENTRY = Stage("diagnose", 14, ("ingest",), DiagnoseConfig, run, sources, ("mujoco", "numpy", "scipy"))

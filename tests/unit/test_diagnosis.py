@@ -88,7 +88,7 @@ def test_effects_that_mujoco_cannot_combine_are_not_tried(problem: Problem, fit:
 
 def test_the_suggested_motion_stays_inside_the_robots_room_and_separates_better_than_most(problem: Problem, fit: Fit) -> None:
     fits = []
-    for effect, quantities in (("actuator_delay", {"time": 0.01}), ("actuator_lag", {"time": 0.01})):
+    for effect, quantities in (("actuator_delay", {"time": 0.05}), ("actuator_lag", {"time": 0.05})):
         place = placement(problem, Candidate(effect, ("tilt",)))
         extended, absent = extend(fit, [place])
         values = with_quantities(extended, absent, [place], [quantities])
@@ -111,6 +111,16 @@ def test_no_motion_is_suggested_between_two_names_of_one_torque(problem: Problem
         place = placement(problem, Candidate(effect, ("tilt",)))
         extended, absent = extend(fit, [place])
         values = with_quantities(extended, absent, [place], [quantities])
+        fits.append(begin(extended, extended.simulated.space.to_unit(values)))
+    assert suggest(problem, fits, np.random.default_rng(1)) is None
+
+
+def test_no_motion_is_suggested_between_two_delays_that_are_one_in_free_motion(problem: Problem, fit: Fit) -> None:
+    fits = []
+    for effect, time in (("actuator_delay", 0.0300), ("sensor_delay", 0.0305)):  # fits stop near each other, not at one number
+        place = placement(problem, Candidate(effect, ("tilt",)))
+        extended, absent = extend(fit, [place])
+        values = with_quantities(extended, absent, [place], [{"time": time}])
         fits.append(begin(extended, extended.simulated.space.to_unit(values)))
     assert suggest(problem, fits, np.random.default_rng(1)) is None
 
