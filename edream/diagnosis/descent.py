@@ -163,20 +163,22 @@ def descend(fit: Fit, fresh: Bool[np.ndarray, "P"] | None = None, iterations: in
 def polish(fit: Fit, iterations: int = 5) -> Fit:
     """Go down to the end, also along a valley that is all but flat; the Jacobian at the end is fit for intervals.
 
-    Differences go along the principal axes of the last Jacobian, and steps straight in the parameters' own units.
+    Differences go along the principal axes of the last Jacobian, and steps straight in the parameters' own units. What joints do to
+    each other comes in when steps without it have come to their end.
     """
-    for _ in range(iterations):
-        slope = jacobian_along_axes(fit.objective, fit.unit, fit.hessian())
-        fit = replace(fit, jacobian=slope, scale=worth(fit.objective, fit.residual))
-        before, move = cost(fit), step_from(fit)
-        after, unit, residual = min(
-            _tried(fit, straight(fit.space, fit.unit, np.outer((1.0, *SHORTER), move))), key=lambda one: one[0]
-        )
-        if not after < before:
-            break
-        fit = replace(fit, unit=unit, residual=residual)
-        if before - after < LITTLE:
-            break
+    for apart in (True, False):
+        for _ in range(iterations):
+            slope = jacobian_along_axes(fit.objective, fit.unit, fit.hessian(), apart)
+            fit = replace(fit, jacobian=slope, scale=worth(fit.objective, fit.residual))
+            before, move = cost(fit), step_from(fit)
+            after, unit, residual = min(
+                _tried(fit, straight(fit.space, fit.unit, np.outer((1.0, *SHORTER), move))), key=lambda one: one[0]
+            )
+            if not after < before:
+                break
+            fit = replace(fit, unit=unit, residual=residual)
+            if before - after < LITTLE:
+                break
     return fit
 
 

@@ -29,7 +29,7 @@ from edream.sim.simulation import Placement, SimulatedRobot, write_fields
 
 FINALISTS = 16
 WORTH_A_LOOK = 0.002  # share
-ENOUGH = 60.0  # s of motion that a score test needs
+ENOUGH = 40.0  # s of motion that a score test needs
 Unexplained = Callable[[Float[np.ndarray, "N R"]], Float[np.ndarray, "N"]]
 log = logging.getLogger(__name__)
 LARGEST_ALPHA = 20.0
