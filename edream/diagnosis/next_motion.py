@@ -66,9 +66,9 @@ def suggest(problem: Problem, contenders: Sequence[Fit], rng: np.random.Generato
 
         E = 1/2 d^T (s^2 I + J C J^T)^-1 d,  d = prediction 1 - prediction 2, J = d prediction / d numbers, C = their covariance;
 
-    the motion with the largest least evidence over all pairs wins; pairs that none separates are left aside. Evidence only counts where
-    the difference behind it is one that a verdict would count, too: two names of one thing, such as a delay of the commands and one of
-    the measurements, differ a little by where their fits have stopped, which over many measurements is much evidence for nothing.
+    the motion with the largest least evidence over all pairs wins; pairs that none separates are left aside. Evidence only counts
+    where the difference behind it is one that a verdict would count, too: two names of one thing, such as a delay of the commands
+    and one of the measurements, differ a little by where their fits have stopped, which adds up over many measurements.
     Source: Hunter, Reiner, Technometrics 7(3), 1965; Box, Hill, Technometrics 9(1), 1967.
 
     Args:
