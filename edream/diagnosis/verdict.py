@@ -12,7 +12,7 @@ from edream.core.effect import Effect
 from edream.core.parameters import Parameter
 from edream.diagnosis.candidates import Candidate, placement
 from edream.diagnosis.decide import REAL_GAP, Round, Trial, backward, forward, rivals
-from edream.diagnosis.descent import Fit
+from edream.diagnosis.descent import Fit, polish
 from edream.diagnosis.left_out import bootstrap, proof_errors
 from edream.diagnosis.nuisance import fit_nuisance, published
 from edream.diagnosis.problem import Problem
@@ -106,6 +106,8 @@ def diagnose(problem: Problem, done: Callable[[str, int], object] = lambda text,
     trials = [t for t in taken if t.candidate in kept]
     effects = [_named(problem, fit, t, rounds, trials) for t in trials]
     suspects: list[Suspect] = []
+    if not trials and off_nominal(problem, fit):
+        fit = polish(fit)  # a search that ends near enough knows less of valleys, and calls its numbers surer than they are
     if not trials and (numbers := off_nominal(problem, fit)):
         strange = [placement(problem, Candidate(n.name, n.targets)).full_name(q) for n in numbers for q in n.values]
         suspects = find_suspects(problem, fit, strange, lambda n: done("looking behind strange numbers", n))
