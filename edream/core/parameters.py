@@ -24,6 +24,7 @@ class Parameter:
         absent: the value at which the effect is not there, or None where there is no such value.
         spread: standard deviation of the prior, in the parameter's unit, or as a factor's natural logarithm where
             `scale` is "log"; infinite where nothing is known beforehand.
+        guessed: whether `start` is only a place to begin, since the model says nothing of this number.
         scale: "log" for positive quantities searched by their ratio (gains), else "linear".
     """
 
@@ -35,6 +36,7 @@ class Parameter:
     absent: float | None = None
     spread: float = math.inf
     scale: Literal["linear", "log"] = "linear"
+    guessed: bool = False
 
     def __post_init__(self) -> None:
         if not self.low < self.high:

@@ -122,7 +122,7 @@ def _nuisance(found: Diagnosis) -> list[dict[str, Any]]:
         {
             "name": name,
             "unit": published[name].unit,
-            "published": published[name].start,
+            "published": 0.0 if published[name].guessed else published[name].start,
             "before": numbers,
             "after": after.get(name),
         }

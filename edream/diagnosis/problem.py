@@ -215,7 +215,7 @@ def _prior(parameter, fitted: float | None) -> dict[str, float]:
         return {}
     nominal = parameter.start
     ratio = (fitted + 1e-12) / (nominal + 1e-12)
-    credible = nominal > 0.0 and 1.0 / CREDIBLE_FACTOR <= ratio <= CREDIBLE_FACTOR
+    credible = nominal > 0.0 and not parameter.guessed and 1.0 / CREDIBLE_FACTOR <= ratio <= CREDIBLE_FACTOR
     centre = nominal if credible else float(np.clip(fitted, parameter.low, parameter.high))
     if parameter.scale == "log":
         return {"start": centre, "spread": NOMINAL_SPREAD if credible else 1.0}

@@ -66,7 +66,7 @@ def find_suspects(
 def believe_published(problem: Problem, fit: Fit) -> Fit:
     """The same model fitted again under priors at the published numbers."""
     bare = SimulatedRobot(problem.robot, nuisance_placements(problem))
-    published = dict(zip(bare.space.names, bare.space.start(), strict=True))
+    published = {p.name: 0.0 if p.guessed else p.start for p in bare.space.parameters}
     placements = []
     for place in nuisance_placements(problem, published):
         bounds = {

@@ -218,6 +218,8 @@ def off_nominal(problem: Problem, fit: Fit) -> list[Named]:
 
 def is_strange(parameter: Parameter, interval: tuple[float, float], usual: float = 1.0) -> bool:
     """Whether a number's interval excludes what may be expected, about its published value and about `usual` times that."""
+    if parameter.guessed:
+        return False
     yardstick = 0.02 * (parameter.high - parameter.low) if parameter.scale == "linear" else 0.0
     low, high = min(1.0, usual) * parameter.start, max(1.0, usual) * parameter.start
     return interval[0] > STRANGE[1] * high + yardstick or interval[1] < STRANGE[0] * low - yardstick

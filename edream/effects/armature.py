@@ -7,6 +7,7 @@ import mujoco
 from edream.core.effect import Effect, Fields, Values, joint_index
 from edream.core.parameters import Parameter
 from edream.sim.rotor import LINK_SHARE
+from edream.sim.scales import rotor_guess
 
 
 class Armature(Effect):
@@ -26,8 +27,10 @@ class Armature(Effect):
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
         dof = joint_index(model, targets[0])["dof"]
         nominal = float(model.dof_armature[dof])
-        around = max(nominal, 0.05 * float(model.dof_M0[dof]), 1e-6)
-        return (Parameter("inertia", "kg m^2", around / 100.0, around * 20.0, max(nominal, around / 100.0), scale="log"),)
+        guess = rotor_guess(model, targets[0])
+        around = max(nominal, guess, 0.05 * float(model.dof_M0[dof]), 1e-6)
+        start = max(nominal, guess, around / 100.0)
+        return (Parameter("inertia", "kg m^2", around / 100.0, around * 20.0, start, scale="log", guessed=nominal == 0.0),)
 
     def probes(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[dict[str, float], ...]:
         start = self.parameters(model, targets)[0].start

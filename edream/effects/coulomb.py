@@ -9,7 +9,7 @@ from edream.core.effect import Effect, Fields, Values, joint_index
 from edream.core.parameters import Parameter
 from edream.sim.friction import hold_still
 from edream.sim.rotor import drive_joint
-from edream.sim.scales import largest
+from edream.sim.scales import most_friction
 
 
 class Coulomb(Effect):
@@ -29,7 +29,7 @@ class Coulomb(Effect):
 
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
         nominal = float(model.dof_frictionloss[joint_index(model, targets[0])["drive"]])
-        high = max(5.0 * nominal, largest(model, targets))
+        high = most_friction(model, targets)
         return (Parameter("torque", "N m", 0.0, high, float(np.clip(nominal, 0.0, high)), absent=0.0),)
 
     def edit(self, spec: mujoco.MjSpec, target: str) -> None:

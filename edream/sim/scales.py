@@ -9,10 +9,15 @@ from edream.core.effect import joint_index
 
 POSES = 24
 BRISK_ACCELERATION = 20.0  # rad/s^2: what a brisk servo move asks of a joint
+BANDWIDTH = 30.0  # rad/s, of a usual position servo
+STUCK = 0.1  # rad of error that dry friction may hold
 
 
 def torque_scale(model: mujoco.MjModel, joint: str) -> float:
-    """A large torque for this joint [N m]: the heaviest gravity load over sampled poses plus that of a brisk acceleration."""
+    """A large torque for this joint [N m]: the heaviest gravity load over sampled poses plus that of a brisk acceleration.
+
+    Where the model leaves the motor's rotor out, its inertia is guessed: at the end of an arm it is most of what there is.
+    """
     number = model.joint(joint).id
     dof = int(model.jnt_dofadr[number])
     data = mujoco.MjData(model)
@@ -29,7 +34,32 @@ def torque_scale(model: mujoco.MjModel, joint: str) -> float:
         dense = np.zeros((model.nv, model.nv))
         mujoco.mj_fullM(model, data, dense)
         inertia = max(inertia, float(dense[dof, dof]))
-    return gravity + BRISK_ACCELERATION * inertia
+    return gravity + BRISK_ACCELERATION * (inertia + rotor_guess(model, joint))
+
+
+def rotor_guess(model: mujoco.MjModel, joint: str) -> float:
+    """Inertia of a rotor that the model leaves out [kg m^2]: that with which its position servo is as quick as most are.
+
+    0 where the model has a rotor, or the joint no position servo.
+    """
+    stiffness = position_gain(model, joint)
+    return 0.0 if float(model.dof_armature[joint_index(model, joint)["drive"]]) > 0.0 else stiffness / BANDWIDTH**2
+
+
+def position_gain(model: mujoco.MjModel, joint: str) -> float:
+    """Gain of a joint's position servo [N m/rad]; 0 where it has none."""
+    return max(0.0, -float(model.actuator_biasprm[joint_index(model, joint)["actuator"], 1]))
+
+
+def most_friction(model: mujoco.MjModel, joints: Sequence[str]) -> float:
+    """The most dry friction that joints which share their numbers may have [N m].
+
+    A model without rotors was not made from the drives, so that its friction says little, either: as much then as would hold the
+    servo at an error of 0.1 rad.
+    """
+    unmodelled = [STUCK * position_gain(model, joint) for joint in joints if rotor_guess(model, joint) > 0.0]
+    nominal = float(model.dof_frictionloss[joint_index(model, joints[0])["drive"]])
+    return max(5.0 * nominal, largest(model, joints), *unmodelled)
 
 
 def largest(model: mujoco.MjModel, joints: Sequence[str]) -> float:
