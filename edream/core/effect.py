@@ -103,6 +103,10 @@ class Effect(ABC):
             probe[p.name] = moved
         return (probe,)
 
+    def scan(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[dict[str, float], ...]:
+        """Probes of an effect with a phase, close enough to each other that one of them is near whatever is true; in pairs, too."""
+        return self.probes(model, targets)
+
     def edit(self, spec: mujoco.MjSpec, target: str) -> None:  # noqa: B027 - most effects need no structure
         """Add the structure that `write` fills, once, before compilation, for one target."""
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from edream.diagnosis.descent import Fit, begin, descend, stretches
 from edream.diagnosis.problem import CREDIBLE_FACTOR, Problem, nuisance_placements
+from edream.sim.beginning import beginning
 from edream.sim.least_squares import worth
 from edream.sim.objective import Objective
 from edream.sim.simulation import SimulatedRobot
@@ -24,7 +25,7 @@ def fit_nuisance(problem: Problem) -> Fit:
     """Gain, damping, dry friction and inertia of every group of joints, first without priors, then with those that are credible."""
     bare = SimulatedRobot(problem.robot, nuisance_placements(problem))
     objective = replace(published(problem), simulated=bare)
-    first = descend(begin(objective, bare.space.to_unit(bare.space.start())), None, iterations=8, tolerance=0.01)
+    first = descend(begin(objective, bare.space.to_unit(beginning(objective))), None, iterations=8, tolerance=0.01)
     if first.rms > FAR * problem.floor and not credible(first):
         brief = replace(objective, windows=stretches(first), simulations=0)
         near = descend(begin(brief, first.unit), None, iterations=10)

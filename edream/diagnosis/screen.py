@@ -30,6 +30,7 @@ from edream.sim.simulation import Placement, SimulatedRobot, write_fields
 FINALISTS = 16
 WORTH_A_LOOK = 0.002  # share
 ENOUGH = 40.0  # s of motion that a score test needs
+SCANNED = 20.0  # s of motion that tells lengths of waves
 Unexplained = Callable[[Float[np.ndarray, "N R"]], Float[np.ndarray, "N"]]
 log = logging.getLogger(__name__)
 LARGEST_ALPHA = 20.0
@@ -65,7 +66,11 @@ def screen(problem: Problem, fit: Fit, done: Callable[[int], object] = lambda n:
         if fresh:
             first += _probe_round(problem, fit, fresh, total)
         done(1)
-    second = [again for s in finalists(first) if (again := confirm(problem, fit, s, unexplained, total)) is not None]
+    second = [
+        again
+        for s in with_scan(problem, fit, finalists(first))
+        if (again := confirm(problem, fit, s, unexplained, total)) is not None
+    ]
     done(1)
     return sorted(second, key=lambda s: -s.share)
 
@@ -151,6 +156,27 @@ def _probe_round(problem: Problem, fit: Fit, candidates: Sequence[Candidate], to
     return [scored_probes(problem, fit, c, residuals[0], changes, total) for c in (*candidates, *groups)]
 
 
+def with_scan(problem: Problem, fit: Fit, finalists: Sequence[Scored]) -> list[Scored]:
+    """The finalists, the likeliest wave among them probed at every length: no slope leads from one to the next."""
+    waves_ = [s for s in finalists if placement(problem, s.candidate).effect.phase is not None]
+    best = max(waves_, key=lambda s: s.share, default=None)
+    return [scanned(problem, fit, s) if s is best else s for s in finalists]
+
+
+def scanned(problem: Problem, fit: Fit, scored: Scored) -> Scored:
+    """A wave probed at every length that can be told from its neighbours over the joint's travel, on a little of the motion."""
+    few = thinned(fit, SCANNED)
+    place = placement(problem, scored.candidate)
+    fine = place.effect.scan(problem.robot.model, place.targets)
+    extended, absent = extend(few, [place])
+    sets = [absent, *(with_quantities(extended, absent, [place], [one]) for one in (*fine, scored.start))]
+    residuals = extended.residuals(np.array(sets))
+    total = float(unexplained_by(few)(residuals[:1])[0])
+    found = scored_probes(problem, few, scored.candidate, residuals[0], residuals[1:-1] - residuals[0], total, fine)
+    gained = 1.0 - float(unexplained_by(few)(residuals[-1:])[0]) / total
+    return replace(scored, start=found.start) if found.share > gained else scored
+
+
 def scored_probes(
     problem: Problem,
     fit: Fit,
@@ -158,10 +184,14 @@ def scored_probes(
     residual: Float[np.ndarray, "R"],
     changes: Float[np.ndarray, "K R"],
     total: float,
+    probes: Sequence[Mapping[str, float]] | None = None,
 ) -> Scored:
-    """The share of the residual that a candidate's best probe points at, and where that puts its quantities."""
+    """The share of the residual that a candidate's best probe points at, and where that puts its quantities.
+
+    `changes` are what the candidate's own probes change, or `probes` where they are given.
+    """
     place = placement(problem, candidate)
-    own = place.effect.probes(problem.robot.model, place.targets)
+    own = probes or place.effect.probes(problem.robot.model, place.targets)
     rows, columns = _own_rows(problem, fit, candidate)
     away, pull = prior_rows(fit)
     projection = Projection(np.vstack([fit.jacobian[np.ix_(rows, columns)], pull[np.ix_(columns, columns)]]))

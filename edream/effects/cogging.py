@@ -7,7 +7,7 @@ import numpy as np
 
 from edream.core.effect import Effect, Fields, Values
 from edream.core.parameters import Parameter
-from edream.sim.scales import largest
+from edream.sim.scales import largest, travel
 from edream.sim.servo import NO_INPUT, device, passive_device
 
 PERIODS = (6.0, 7.0, 8.0, 10.0, 12.0, 14.0, 16.0, 20.0, 24.0, 28.0, 32.0, 40.0, 48.0, 64.0)  # a turn of the joint
@@ -41,6 +41,13 @@ class Cogging(Effect):
         amplitude = 0.03 * largest(model, targets)
         waves = [(periods, phase) for periods in PERIODS for phase in (0.0, np.pi / 2.0)]
         return tuple({"amplitude": amplitude, "periods": periods, "phase": phase} for periods, phase in waves)
+
+    def scan(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[dict[str, float], ...]:
+        low, high = travel(model, targets[0])
+        step = max(0.5, np.pi / max(high - low, 0.1))  # a quarter of a period from end to end of the travel, to either side
+        amplitude = 0.03 * largest(model, targets)
+        waves = [(periods, phase) for periods in np.arange(PERIODS[0], PERIODS[-1], step) for phase in (0.0, np.pi / 2.0)]
+        return tuple({"amplitude": amplitude, "periods": float(periods), "phase": phase} for periods, phase in waves)
 
     def edit(self, spec: mujoco.MjSpec, target: str) -> None:
         device_ = passive_device(spec, target, "cogging")

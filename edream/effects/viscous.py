@@ -7,7 +7,7 @@ import numpy as np
 
 from edream.core.effect import Effect, Fields, Values, joint_index
 from edream.core.parameters import Parameter
-from edream.sim.scales import largest
+from edream.sim.scales import BANDWIDTH, largest, position_gain
 
 
 class Viscous(Effect):
@@ -28,8 +28,10 @@ class Viscous(Effect):
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
         index = joint_index(model, targets[0])
         nominal = float(model.dof_damping[index["drive"]] - model.actuator_biasprm[index["actuator"], 2])
-        high = max(10.0 * nominal, largest(model, targets))
-        return (Parameter("damping", "N m s/rad", high * 1e-4, high, float(np.clip(nominal, high * 1e-4, high)), scale="log"),)
+        guess = 0.0 if nominal > 0.0 else position_gain(model, targets[0]) / BANDWIDTH
+        high = max(10.0 * nominal, 10.0 * guess, largest(model, targets))
+        start = float(np.clip(max(nominal, guess), high * 1e-4, high))
+        return (Parameter("damping", "N m s/rad", high * 1e-4, high, start, scale="log", guessed=nominal <= 0.0),)
 
     def probes(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[dict[str, float], ...]:
         start = self.parameters(model, targets)[0].start

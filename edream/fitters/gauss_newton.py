@@ -2,6 +2,7 @@
 
 from edream.calibration.polish import polish_in_stages
 from edream.calibration.problem import FitResult, Fitter, Problem
+from edream.sim.beginning import beginning
 
 
 class GaussNewton(Fitter):
@@ -17,7 +18,8 @@ class GaussNewton(Fitter):
 
     def fit(self, problem: Problem) -> FitResult:
         before = problem.objective.simulations
-        solution, near = polish_in_stages(problem.objective, None, problem.options.iterations, problem.options.polish)
+        start = beginning(problem.objective)
+        solution, near = polish_in_stages(problem.objective, start, problem.options.iterations, problem.options.polish)
         cost = float(problem.cost_of(problem.space.to_unit(solution.values), solution.residual))
         simulations = problem.objective.simulations - before + near
         return FitResult(solution.values, cost, (solution.start_rms**2, cost), simulations, solution.converged)

@@ -1,18 +1,23 @@
 """Models as many are published, without a motor's rotor: what is searched has room for what the real drives have."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from edream import catalog
+from edream.core.effect import Effect
 from edream.core.episode import Episode
 from edream.diagnosis.nuisance import fit_nuisance
 from edream.diagnosis.problem import Settings, nuisance_placements, prepare
 from edream.diagnosis.verdict import is_strange
+from edream.sim.beginning import beginning
+from edream.sim.objective import Objective
 from edream.sim.robot import RobotModel, load_robot
 from edream.sim.rollout import rollout
 from edream.sim.scales import rotor_guess
-from edream.sim.simulation import SimulatedRobot
+from edream.sim.simulation import Placement, SimulatedRobot
 from edream.sim.window import whole
 
 TRUE = {"kp": 35.0, "damping": 2.2, "frictionloss": 1.1, "armature": 0.12}
@@ -72,3 +77,22 @@ def test_what_the_model_does_not_say_is_neither_believed_nor_strange(bare: Robot
 
 def test_a_rotor_that_the_model_has_is_not_guessed(tmp_path: Path) -> None:
     assert rotor_guess(wrist(tmp_path, **TRUE).model, "wrist") == 0.0
+
+
+def test_a_friction_that_the_servo_could_hardly_overcome_is_not_where_a_search_begins(tmp_path: Path) -> None:
+    stuck = wrist(tmp_path, **{**TRUE, "frictionloss": 30.0})
+    windows = whole([motion(n) for n in range(3)])
+    moved = rollout(SimulatedRobot(wrist(tmp_path, **{**TRUE, "armature": 0.11}), ()), np.zeros((1, 0)), windows)
+    episodes = [replace(w.episode, position=m[0]) for w, m in zip(windows, moved, strict=True)]
+    for robot, most in ((stuck, 4.0), (wrist(tmp_path, **{**TRUE, "armature": 0.13}), TRUE["frictionloss"])):
+        simulated = SimulatedRobot(robot, (Placement(catalog.load("effects", "coulomb", Effect), ("wrist",)),))
+        begun = beginning(Objective(simulated, whole(episodes)))
+        assert 0.0 < begun[0] <= most and (robot is stuck or begun[0] == most)
+
+
+def test_a_damping_that_the_model_leaves_out_is_guessed(tmp_path: Path) -> None:
+    effect = catalog.load("effects", "viscous", Effect)
+    (none,) = effect.parameters(wrist(tmp_path, **{**TRUE, "damping": 0}).model, ("wrist",))
+    (some,) = effect.parameters(wrist(tmp_path, **{**TRUE, "armature": 0.1}).model, ("wrist",))
+    assert none.guessed and 0.3 < none.start < 3.0
+    assert not some.guessed and some.start == TRUE["damping"]
