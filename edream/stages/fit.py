@@ -9,7 +9,7 @@ import pyarrow as pa
 
 from edream import catalog
 from edream.calibration.data import sampling_stride, stretches
-from edream.calibration.errors import before_and_after, error_table, perfect_tracking, replayed
+from edream.calibration.errors import UNSTABLE, before_and_after, error_table, perfect_tracking, replayed
 from edream.calibration.moves import check_moves
 from edream.calibration.polish import finish
 from edream.calibration.pose_objective import PoseObjective
@@ -214,10 +214,12 @@ def _summary(
     judge = error["heldout" if held else "train"]
     motions = "1 motion" if len(held) == 1 else f"{len(held)} motions"
     on = f"on {motions} it never saw" if held else "on the motions it was fitted to; none was held out"
-    before = judge["before"]["joint_rmse_rad"]
+    before, rows = judge["before"]["joint_rmse_rad"], judge["before"]["per_episode"].values()
+    blown = sum(row["joint_rmse_rad"] == UNSTABLE for row in rows)
+    was = f"unstable on {blown} of {len(rows)} motions" if blown else f"off by {before:.4f} rad"
     swept = inputs["sweep"]["summary.json"]["simulations"] if "sweep" in inputs else 0
     return {
-        "sentence": f"Your simulator was off by {before:.4f} rad; it is now off by {judge['joint_rmse_rad']:.4f} rad {on}.",
+        "sentence": f"Your simulator was {was}; it is now off by {judge['joint_rmse_rad']:.4f} rad {on}.",
         "model": MODEL,
         "method": settings.method,
         "converged": result["converged"],
