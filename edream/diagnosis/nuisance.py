@@ -11,7 +11,7 @@ from edream.sim.least_squares import worth
 from edream.sim.objective import Objective
 from edream.sim.simulation import SimulatedRobot
 
-FAR = 20.0  # floors of error from which a valley with incredible numbers may be the wrong one
+FAR = 4.0  # floors of error from which a valley with incredible numbers may be the wrong one
 
 
 def published(problem: Problem) -> Objective:

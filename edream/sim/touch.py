@@ -1,5 +1,6 @@
 """Whether a robot touches anything in its recordings: where it never does, searches need not look for contacts."""
 
+import copy
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -9,11 +10,12 @@ from edream.core.effect import joint_index
 from edream.core.episode import Episode
 from edream.sim.robot import RobotModel
 
-POSES = 2000  # looked at, spread evenly over all recordings
+POSES = 20_000  # looked at, spread evenly over all recordings
+NEAR = 0.005  # m: between two rows, or beside what an encoder says, so much may be closed
 
 
 def kept_clear(robot: RobotModel, episodes: Sequence[Episode]) -> RobotModel:
-    """The robot, marked as clear where none of its geoms touches another in any measured pose.
+    """The robot, marked as clear where none of its geoms touches another in the measured poses.
 
     A model that moves in more ways than were recorded (a free object, a gripper without an encoder) is never marked.
     """
@@ -21,17 +23,21 @@ def kept_clear(robot: RobotModel, episodes: Sequence[Episode]) -> RobotModel:
 
 
 def never_touches(robot: RobotModel, episodes: Sequence[Episode]) -> bool:
-    """Whether MuJoCo finds no contact in the measured poses."""
-    model = robot.model
-    if not episodes or model.nq != len(episodes[0].joints):
+    """Whether MuJoCo finds no two geoms touching in the measured poses, nor near each other but those that always are."""
+    if not episodes or robot.model.nq != len(episodes[0].joints):
         return False
+    model = copy.copy(robot.model)
+    model.geom_margin[:] = NEAR
     data = mujoco.MjData(model)
     columns = [joint_index(model, joint)["qpos"] for joint in episodes[0].joints]
     every = max(1, sum(len(episode.position) for episode in episodes) // POSES)
+    near: set[frozenset[int]] | None = None
     for episode in episodes:
         for pose in episode.position[::every]:
             data.qpos[columns] = pose
             mujoco.mj_fwdPosition(model, data)
-            if data.ncon:
+            pairs = {frozenset((int(one.geom1), int(one.geom2))) for one in data.contact}
+            near = pairs if near is None else near
+            if pairs != near or any(one.dist <= 0.0 for one in data.contact):
                 return False
     return True

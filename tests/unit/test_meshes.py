@@ -134,6 +134,20 @@ def test_a_robot_that_touches_its_table_keeps_its_contacts(tmp_path: Path) -> No
     assert rubbing(kept_clear(robot, [episode])).swift.model.ngeom == 2
 
 
+@pytest.mark.parametrize(("height", "lone"), [(0.0999, True), (0.097, False)])
+def test_what_is_always_near_is_a_neighbour_and_what_comes_near_may_touch(tmp_path: Path, height: float, lone: bool) -> None:
+    neighbour = "<geom name='foot' size='0.05' pos='0 0 {at}'/>"  # beside the ball of the upper link, which turns on the spot
+    ball = "<mujoco><worldbody>{foot}<body pos='0 0 0.2'><joint name='turn' axis='0 1 0'/><geom size='0.05' mass='1'/>{arm}</body>"
+    drive = "</worldbody><actuator><position joint='turn' kp='10' kv='1'/></actuator></mujoco>"
+    arm = "" if lone else "<geom type='capsule' fromto='0 0 0 0 0 -0.046' size='0.05'/>"
+    path = tmp_path / "ball.xml"
+    path.write_text((ball + drive).format(foot=neighbour.format(at=height if lone else 0.0999 - 0.048), arm=arm))
+    robot = load_robot(path)
+    times = np.arange(0.0, 2.0, 0.02)
+    turned = np.sin(times)[:, None]
+    assert never_touches(robot, [Episode("turning", ("turn",), times, turned, times, turned)]) == lone
+
+
 def test_a_free_object_is_never_left_out(tmp_path: Path) -> None:
     cup = "<body name='cup' pos='3 0 1'><freejoint/><geom name='cup' size='0.05' mass='0.1'/></body>"
     robot = load_robot(written(tmp_path, cup))
