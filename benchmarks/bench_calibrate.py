@@ -27,7 +27,6 @@ import numpy as np
 
 from edream import catalog, config
 from edream.calibration.data import sampling_stride, stretches
-from edream.calibration.polish import finish
 from edream.calibration.problem import Fitter, FitterOptions, Problem
 from edream.calibration.settings import RobotSettings, SpaceSettings, scored, simulated_robot
 from edream.calibration.split import split_motions
@@ -39,6 +38,7 @@ from edream.ingest.mapping import MappingConfig
 from edream.ingest.recordings import ingest_recordings
 from edream.record import RecordConfig, record
 from edream.sim.objective import Objective, rms
+from edream.sim.polish import finish
 from edream.sim.window import whole
 from edream.stages.fit import with_surrogate
 from edream.stages.sweep import SweepSettings, sweep, windows_of

@@ -4,13 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from edream.diagnosis.descent import Fit, begin, descend, stretches
+from edream.diagnosis.descent import Fit, begin, descend
 from edream.diagnosis.problem import CREDIBLE_FACTOR, Problem, nuisance_placements
 from edream.sim.beginning import beginning
 from edream.sim.least_squares import worth
 from edream.sim.objective import Objective
+from edream.sim.polish import finish, polish_in_stages
 from edream.sim.simulation import SimulatedRobot
 
+NEAR, PASS, LAST = 12, 10, 4  # most steps on short pieces, on whole motions, joint by joint
 FAR = 4.0  # floors of error from which a valley with incredible numbers may be the wrong one
 
 
@@ -27,15 +29,20 @@ def fit_nuisance(problem: Problem) -> Fit:
     objective = replace(published(problem), simulated=bare)
     first = descend(begin(objective, bare.space.to_unit(beginning(objective))), None, iterations=8, tolerance=0.01)
     if first.rms > FAR * problem.floor and not credible(first):
-        brief = replace(objective, windows=stretches(first), simulations=0)
-        near = descend(begin(brief, first.unit), None, iterations=10)
-        again = descend(begin(objective, near.unit), None, iterations=4, tolerance=0.01)
-        first = min(first, again, key=lambda one: one.rms)
+        first = min(first, calibrated(objective), key=lambda one: one.rms)
     believed = SimulatedRobot(problem.robot, nuisance_placements(problem, bare.space.mapping(first.values)))
     again = replace(objective, simulated=believed, simulations=0)
     unit = believed.space.to_unit(first.values)
     started = Fit(again, unit, first.residual, _rescaled(first, believed), worth(again, first.residual))
     return descend(started, None, iterations=4, tolerance=0.003)
+
+
+def calibrated(objective: Objective) -> Fit:
+    """The search of `edream calibrate`, which from far away finds its way by short pieces of motion and joint by joint."""
+    near, _ = polish_in_stages(objective, beginning(objective), NEAR, PASS)
+    end = finish(objective, near.values, LAST)
+    unit = objective.simulated.space.to_unit(end.values)
+    return Fit(objective, unit, end.residual, end.jacobian, worth(objective, end.residual))
 
 
 def _rescaled(fit: Fit, believed: SimulatedRobot) -> np.ndarray:

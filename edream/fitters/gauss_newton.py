@@ -1,8 +1,8 @@
 """Gauss-Newton in the true simulator."""
 
-from edream.calibration.polish import polish_in_stages
 from edream.calibration.problem import FitResult, Fitter, Problem
 from edream.sim.beginning import beginning
+from edream.sim.polish import polish_in_stages
 
 
 class GaussNewton(Fitter):

@@ -3,9 +3,9 @@
 import numpy as np
 
 from edream.calibration.descent import descend
-from edream.calibration.polish import polish_in_stages
 from edream.calibration.problem import FitResult, Fitter, Problem
 from edream.core.errors import EdreamError
+from edream.sim.polish import polish_in_stages
 
 STARTS = 4  # random starts of the descent; they run as one batch
 AROUND = 0.12  # of the box: where parameter sets are drawn for learning again

@@ -11,7 +11,6 @@ from edream import catalog
 from edream.calibration.data import sampling_stride, stretches
 from edream.calibration.errors import UNSTABLE, before_and_after, error_table, perfect_tracking, replayed
 from edream.calibration.moves import check_moves
-from edream.calibration.polish import finish
 from edream.calibration.pose_objective import PoseObjective
 from edream.calibration.problem import FitResult, Fitter, FitterOptions, Problem
 from edream.calibration.settings import RobotSettings, SpaceSettings, scored, simulated_robot, space_of
@@ -27,6 +26,7 @@ from edream.ingest.stored import stored_episodes
 from edream.sim.differences import jacobian
 from edream.sim.emit import emit
 from edream.sim.objective import Objective
+from edream.sim.polish import finish
 from edream.sim.simulation import SimulatedRobot
 from edream.sim.touch import kept_clear
 from edream.sim.window import whole
@@ -248,5 +248,5 @@ def sources(config: FitConfig) -> Mapping[str, Source]:
 
 
 ENTRY = Stage(
-    name="fit", version=11, needs=needs, config=FitConfig, run=run, sources=sources, numerics=("mujoco", "scipy", "cma", "torch")
+    name="fit", version=12, needs=needs, config=FitConfig, run=run, sources=sources, numerics=("mujoco", "scipy", "cma", "torch")
 )

@@ -5,12 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from edream import catalog, config
-from edream.calibration.polish import finish
 from edream.calibration.problem import Fitter, FitterOptions, Problem
 from edream.calibration.settings import RobotSettings, SpaceSettings, simulated_robot
 from edream.calibration.worth import Worth, worth_of
 from edream.core.episode import Episode
 from edream.sim.objective import Objective
+from edream.sim.polish import finish
 from edream.sim.rollout import rollout
 from edream.sim.simulation import SimulatedRobot
 from edream.sim.window import whole

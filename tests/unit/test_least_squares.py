@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from edream.calibration.polish import finish
 from edream.core.parameters import Parameter, ParameterSpace
 from edream.sim.differences import blocks, jacobian, jacobian_along_axes, nearly, sharing, straight
 from edream.sim.least_squares import solve
 from edream.sim.objective import Objective, rms
+from edream.sim.polish import finish
 from edream.sim.window import whole
 from tests.recovery.planted import arm, motions, plant
 
