@@ -14,6 +14,9 @@ ENOUGH = 6  # windows; only what stands still there is tried on all
 def check_moves(objective: Objective) -> None:
     """Try every parameter at both ends of its box.
 
+    One that changes nothing is passed over where another of the same effect and place does: which share of a damping lies within a
+    torque limit tells only where the limit is reached.
+
     Raises:
         EdreamError: naming a parameter that changes no simulated position.
     """
@@ -22,12 +25,20 @@ def check_moves(objective: Objective) -> None:
     still = standing_still(replace(objective, windows=few), range(len(space)))
     if still and len(few) < len(objective.windows):
         still = standing_still(objective, still)
+    moving = {effect_at(name) for n, name in enumerate(space.names) if n not in still}
+    still = [n for n in still if effect_at(space.names[n]) not in moving]
     if still:
         parameter = space.parameters[still[0]]
         raise EdreamError(
             f"Parameter {parameter.name!r} moves nothing: from {parameter.low:g} to {parameter.high:g} {parameter.unit} no "
             "simulated position of a joint that counts changes. Remove it from fit.effects, or record motions that need it."
         )
+
+
+def effect_at(name: str) -> tuple[str, str]:
+    """Effect and place of a parameter: `coulomb.torque[pan]` -> ("coulomb", "pan]")."""
+    effect, _, rest = name.partition(".")
+    return effect, rest.partition("[")[2]
 
 
 def standing_still(objective: Objective, numbers: Sequence[int]) -> list[int]:
