@@ -65,7 +65,7 @@ policy-seeds-%: .venv/ready
 TABLE := runs/policy-table
 TASKS ?= grab_paper_cup put_pen_in_cup put_remote_in_box put_cup_on_mat
 ROWS ?= ["sft policy.cameras=[cam_high,cam_side,wrist] sft.twins=false","sft","rl"]
-PHYSICS ?= ["sft","rl rollouts.model=published","rl","rl rollouts.model=diagnose"]
+PHYSICS ?= ["sft","rl rollouts.model=published rank.margin=0.01","rl rank.margin=0.01","rl rollouts.model=diagnose rank.margin=0.01"]
 LEARN = $(RUN)/edream train-policy robot=arm6_working ingest.fps=25 seed=1 runs=$(TABLE)/runs rollouts.eyes=composite sft.twins=true rank.margin=1 'policy.cameras=[cam_high]'
 define demonstrated  # task, folder, further settings
 	test -f $(2).truth.json || { rm -rf $(2) $(2).*; $(RUN)/edream record robot=arm6 task=$(1) record.episodes=50 record.out=$(2) seed=1 $(3); }
