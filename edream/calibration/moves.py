@@ -36,9 +36,9 @@ def check_moves(objective: Objective) -> None:
 
 
 def effect_at(name: str) -> tuple[str, str]:
-    """Effect and place of a parameter: `coulomb.torque[pan]` -> ("coulomb", "pan]")."""
+    """Effect and place of a parameter: `coulomb.torque[pan]` -> ("coulomb", "pan")."""
     effect, _, rest = name.partition(".")
-    return effect, rest.partition("[")[2]
+    return effect, rest.partition("[")[2].removesuffix("]")
 
 
 def standing_still(objective: Objective, numbers: Sequence[int]) -> list[int]:

@@ -85,9 +85,10 @@ def moving_bodies(problem: Problem) -> list[str]:
 
 
 def loose_geoms(model: mujoco.MjModel) -> list[str]:
-    """Named geoms of free bodies: objects that the robot may touch."""
+    """Named geoms of free bodies that can collide: objects that the robot may touch."""
     free = {int(model.jnt_bodyid[j]) for j in range(model.njnt) if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_FREE}
-    return [model.geom(g).name for g in range(model.ngeom) if int(model.geom_bodyid[g]) in free and model.geom(g).name]
+    solid = [g for g in range(model.ngeom) if model.geom_contype[g] or model.geom_conaffinity[g]]
+    return [model.geom(g).name for g in solid if int(model.geom_bodyid[g]) in free and model.geom(g).name]
 
 
 def groups_of(problem: Problem, candidates: Sequence[Candidate]) -> list[Candidate]:

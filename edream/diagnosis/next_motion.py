@@ -20,9 +20,8 @@ SECONDS, RATE, SETTLE = 20.0, 50.0, 1.0
 DRAWN, JUDGED, CHANGED = 40, 6, 4
 MARGIN = 0.05  # of a joint's range is kept free at either end
 INVISIBLE = 0.01  # floors: predictions this near are the same
-TELLING = (
-    2 * DISTINCT
-)  # of the floor squared, the mean difference that a motion must promise: recorded as often as the others, it tells
+# of the floor squared: the mean difference that a motion must promise; recorded as often as the others, it tells
+TELLING = 2 * DISTINCT
 HASTE = 1.2  # times the fastest command of the recordings
 
 

@@ -4,6 +4,7 @@ import difflib
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from posixpath import isabs, normpath
 from typing import Any
 
 import mujoco
@@ -99,7 +100,12 @@ def emit(
     published = simulated.robot.spec()
     original = _all_digits(_compiled_xml(published), simulated.robot.mjcf, simulated.robot.model)
     lines = difflib.unified_diff(original.splitlines(), mjcf.splitlines(), "published", "with effects", lineterm="", n=2)
-    return EmittedModel(mjcf, simulated.robot.assets, hook_text(simulated, numbers, final), "\n".join(lines) + "\n")
+    return EmittedModel(mjcf, _beside(simulated.robot.assets), hook_text(simulated, numbers, final), "\n".join(lines) + "\n")
+
+
+def _beside(assets: Mapping[str, bytes]) -> dict[str, bytes]:
+    """Assets by where they lie beside the MJCF; one that the model names by an absolute path is found there as it is."""
+    return {normpath(name): data for name, data in assets.items() if not isabs(name)}
 
 
 def _references(simulated: SimulatedRobot) -> dict[str, float]:

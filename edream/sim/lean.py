@@ -1,5 +1,7 @@
 """A robot without what only shows: no visual geoms, no meshes and textures for them, so that it compiles and steps quickly."""
 
+from collections.abc import Collection
+
 import mujoco
 import numpy as np
 
@@ -9,11 +11,11 @@ WRAPPED = (int(mujoco.mjtWrap.mjWRAP_SPHERE), int(mujoco.mjtWrap.mjWRAP_CYLINDER
 GEOM = int(mujoco.mjtObj.mjOBJ_GEOM)
 
 
-def lean_spec(robot: RobotModel) -> mujoco.MjSpec:
+def lean_spec(robot: RobotModel, kept: Collection[str] = ()) -> mujoco.MjSpec:
     """The robot's spec without geoms that touch nothing; it moves as the whole one does, number for number.
 
     Geoms that can collide stay, unless the robot is marked as clear. Masses are those that MuJoCo took from all geoms. A model in
-    which something else hangs on its geoms stays as it is.
+    which something else hangs on its geoms stays as it is. Geoms named in `kept`, such as those that an effect acts on, stay.
     """
     spec, model = robot.spec(), robot.model
     if _needs_geoms(spec, model):
@@ -24,7 +26,7 @@ def lean_spec(robot: RobotModel) -> mujoco.MjSpec:
     spec.compiler.inertiafromgeom = int(mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE)
     spec.compiler.settotalmass = -1.0
     for geom in list(spec.geoms):
-        if robot.clear or not (geom.contype or geom.conaffinity):
+        if geom.name not in kept and (robot.clear or not (geom.contype or geom.conaffinity)):
             spec.delete(geom)
     for drawn in (*spec.geoms, *spec.sites, *spec.tendons):
         drawn.material = ""

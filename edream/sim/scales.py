@@ -79,4 +79,4 @@ def strongest(model: mujoco.MjModel, joint: str) -> float:
     actuator = joint_index(model, joint)["actuator"]
     if model.actuator_forcelimited[actuator]:
         return float(model.actuator_forcerange[actuator, 1])
-    return max(10.0 * torque_scale(model, joint), -1.5 * float(model.actuator_biasprm[actuator, 1]))
+    return max(10.0 * torque_scale(model, joint), 1.5 * position_gain(model, joint))

@@ -95,12 +95,12 @@ class SimulatedRobot:
     Attributes:
         robot: the published model.
         placements: the effects, written in this order.
-        own_solver: whether it is the whole model, solved as it says; see `swift`.
+        entire: whether it is the model with all that it has, solved as it says; see `swift`.
     """
 
     robot: RobotModel
     placements: tuple[Placement, ...]
-    own_solver: bool = True
+    entire: bool = True
 
     @cached_property
     def space(self) -> ParameterSpace:
@@ -113,7 +113,11 @@ class SimulatedRobot:
 
     def spec(self) -> mujoco.MjSpec:
         """The robot's spec with every effect's structure added; numbers are still to be written."""
-        spec = self.robot.spec() if self.own_solver else lean_spec(self.robot)
+        spec = (
+            self.robot.spec()
+            if self.entire
+            else lean_spec(self.robot, {target for one in self.placements for target in one.targets})
+        )
         for placement in self.placements:
             for target in placement.targets or ("",):
                 placement.effect.edit(spec, target)
@@ -133,7 +137,7 @@ class SimulatedRobot:
             raise EdreamError(
                 f"Robot {self.robot.name!r} with {names}: MuJoCo cannot compile it: {' '.join(str(error).split())}"
             ) from error
-        if not self.own_solver:
+        if not self.entire:
             _hasten(model, self.robot.clear)
         return model
 
@@ -145,7 +149,7 @@ class SimulatedRobot:
         converges in a few sweeps, in about half of Newton's time and closer than Newton's usual tolerance. What only shows is left
         away, and where nothing touches in the recordings, no contact is looked for.
         """
-        return replace(self, own_solver=False)
+        return replace(self, entire=False)
 
     def with_placements(self, placements: Sequence[Placement]) -> "SimulatedRobot":
         return replace(self, placements=tuple(placements))

@@ -11,6 +11,7 @@ from edream import catalog
 from edream.core.effect import Effect
 from edream.core.episode import Episode
 from edream.core.errors import EdreamError
+from edream.diagnosis.candidates import loose_geoms
 from edream.sim.emit import emit
 from edream.sim.lean import lean_spec
 from edream.sim.robot import RobotModel, load_robot
@@ -105,6 +106,23 @@ def test_what_is_written_loads_in_mujoco_with_the_meshes_beside_it(tmp_path: Pat
     assert stock.nmesh == 2 and stock.ngeom == robot.model.ngeom
     np.testing.assert_allclose(stock.body_inertia, robot.model.body_inertia, rtol=1e-12)
     assert load_robot(out / "model.xml").joints == robot.joints
+
+
+def test_a_mesh_named_by_a_roundabout_way_lies_where_that_leads(tmp_path: Path) -> None:
+    path = written(tmp_path / "published")
+    arm = tmp_path / "published" / "parts" / "arm.xml"
+    arm.write_text(ARM.replace("file='shell.obj'", "file='../meshes/shell.obj'"))
+    simulated = rubbing(load_robot(path))
+    assert set(emit(simulated, simulated.space.start()).files) == {"meshes/link.obj", "meshes/shell.obj"}
+
+
+def test_a_geom_that_an_effect_acts_on_stays_though_it_only_shows(tmp_path: Path) -> None:
+    label = "<geom name='label' size='0.01' contype='0' conaffinity='0' mass='0.01'/>"
+    cup = f"<body name='cup' pos='3 0 1'><freejoint/><geom name='cup' size='0.05' mass='0.1'/>{label}</body>"
+    robot = load_robot(written(tmp_path, cup))
+    assert loose_geoms(robot.model) == ["cup"]
+    placed = SimulatedRobot(robot, (Placement(catalog.load("effects", "contact_friction", Effect), ("label",)),))
+    assert placed.swift.model.ngeom == 3 and SimulatedRobot(robot, ()).swift.model.ngeom == 2
 
 
 @pytest.mark.parametrize("clear", [False, True])
