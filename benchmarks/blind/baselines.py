@@ -15,12 +15,12 @@ from benchmarks.blind.equation import TorqueNet, fit_nets, fit_sparse
 from edream.catalog import load
 from edream.core.effect import Effect
 from edream.diagnosis.candidates import moving_bodies
-from edream.diagnosis.decide import try_best
 from edream.diagnosis.descent import Fit, begin, descend
 from edream.diagnosis.left_out import proof_errors
 from edream.diagnosis.nuisance import published
 from edream.diagnosis.problem import Problem, nuisance_placements
 from edream.diagnosis.screen import screen
+from edream.diagnosis.trials import try_best
 from edream.diagnosis.verdict import Diagnosis
 from edream.sim.simulation import Placement, SimulatedRobot
 

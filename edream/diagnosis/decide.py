@@ -1,6 +1,6 @@
 """Which candidates stand: refits with all nuisance numbers free, judged on motions that the refit did not see."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,51 +9,28 @@ from jaxtyping import Float
 from edream.catalog import load
 from edream.core.effect import Effect
 from edream.diagnosis.candidates import Candidate, placement
-from edream.diagnosis.descent import Fit, begin, descend, polish, stretches
-from edream.diagnosis.left_out import bootstrap, far_off, is_brief, left_out_errors
+from edream.diagnosis.descent import Fit, begin, descend, polish
+from edream.diagnosis.left_out import bootstrap, is_brief, left_out_errors
 from edream.diagnosis.problem import Problem
 from edream.diagnosis.rough import rough_candidates, searched
-from edream.diagnosis.screen import Scored, extend, scaled_probe, screen, unexplained_by, with_quantities
-from edream.sim.differences import STEP
+from edream.diagnosis.screen import (
+    Scored,
+    extend,
+    screen,
+)
+from edream.diagnosis.trials import SHAPED, SHAPES, Trial, arrived, beside, judged, refit, try_best
 from edream.sim.least_squares import worth
-from edream.sim.objective import Objective, rms
-from edream.sim.simulation import Placement
 
-REFITTED, GROUPS, FINISHED = 8, 4, 6
-HOPELESS = 0.4  # of the best candidate's gain after two steps: those below are not refitted to the end
-SHAPED = 1.5  # floors of error from which a winner is tried in its other shapes
-SHAPES = 3  # so many of them
 MATERIAL = 0.05  # of the gap at first, in root-mean-square error, that a further effect must close
+ALIKE = 0.9  # a rival that closes this share of what the winner closes may be the true one
 NEAR, RIVALS = 0.75, 5  # of the best one's gain; so many go on
 NARROW = 0.3  # of a quantity's range: an interval that says something
 AS_WELL = 0.95  # of the share that an effect closes: its special case closes as much, and needs less to be believed
 DISTINCT = 0.5  # of the floor squared, or of the error where that is larger
-SERIOUS_SHARE = 0.01
-STRONG = 5.0  # probes
 HALF = 0.5  # of the gap: a candidate that closes less of a real one may be a stand-in
 BOUND = 1e-3  # of the unit box: nearer, a number sits at its bound
+VISIBLE = 0.1  # of the floor: with nothing hidden, less is left over it
 REAL_GAP = 1.8  # how many floors of left-out error are a gap worth a name
-
-
-@dataclass(frozen=True, eq=False)
-class Trial:
-    """A candidate refitted.
-
-    Attributes:
-        candidate: effect and place.
-        share: what the score test gave it.
-        fit: the model with it, all nuisance numbers free.
-        errors: mean squared error [rad^2] of each fitted motion while it was left out, (M,).
-        closed: share of the gap above the floor that it closes on left-out motions.
-        sure: whether a paired bootstrap over motions puts the improvement above zero.
-    """
-
-    candidate: Candidate
-    share: float
-    fit: Fit
-    errors: Float[np.ndarray, "M"]
-    closed: float
-    sure: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +55,7 @@ def forward(problem: Problem, fit: Fit, done: Callable[[str, int], object] = lam
         errors = left_out_errors(problem, fit)
         first = rounds[0].errors if rounds else errors
         left, whole = (float(np.sqrt(e.mean())) - problem.floor for e in (errors, first))
-        if left <= max(0.25 * problem.floor, MATERIAL * whole if rounds else 0.0):
+        if left <= max(VISIBLE * problem.floor, MATERIAL * whole if rounds else 0.0):
             rounds.append(Round(fit, errors, [], [], None))
             break
         scored = screen(problem, fit, lambda n: done("screening", n))
@@ -86,8 +63,9 @@ def forward(problem: Problem, fit: Fit, done: Callable[[str, int], object] = lam
         trials = with_rough(problem, fit, errors, trials, lambda n: done("searching", n))
         trials = with_confusable(problem, fit, errors, scored, trials, lambda n: done("refitting", n))
         trials = settled(problem, errors, trials)
+        trials = restarted(problem, errors, trials)
         trials = simplified(problem, fit, errors, trials)
-        taken = simplest([t for t in trials if passes(problem, t) and matters(problem, first, errors, t)])
+        taken = simplest(problem, [t for t in trials if passes(problem, t) and matters(problem, first, errors, t)])
         rounds.append(Round(fit, errors, scored, trials, taken))
         if taken is None:
             break
@@ -114,6 +92,21 @@ def settled(problem: Problem, errors: Float[np.ndarray, "M"], trials: Sequence[T
     return sorted([*better, *(t for t in trials if t not in near)], key=lambda t: -t.closed)
 
 
+def restarted(problem: Problem, errors: Float[np.ndarray, "M"], trials: Sequence[Trial]) -> list[Trial]:
+    """The trials; where the best leaves a gap, its near rivals also from the nuisance numbers that it found.
+
+    One of them may be what closes the gap, and have been lost where numbers that make up for the whole effect led it.
+    """
+    best = next((t for t in trials if passes(problem, t)), None)
+    if best is None or best.fit.rms <= SHAPED * problem.floor:
+        return list(trials)
+    bare = without(best.fit, best.candidate)
+    near = [t for t in trials if t is not best and t.sure and t.closed >= ALIKE * best.closed][:SHAPES]
+    again = [judged(problem, beside(problem, bare, t.candidate), errors, t) for t in near]
+    better = [max(pair, key=lambda t: (passes(problem, t), t.closed)) for pair in zip(near, again, strict=True)]
+    return sorted([*better, *(t for t in trials if t not in near)], key=lambda t: -t.closed)
+
+
 def simplified(problem: Problem, fit: Fit, errors: Float[np.ndarray, "M"], trials: Sequence[Trial]) -> list[Trial]:
     """The trials, with the special case of the best one begun where that one ended: what its other number was worth shows then."""
     best = next((t for t in trials if passes(problem, t)), None)
@@ -133,31 +126,15 @@ def simplified(problem: Problem, fit: Fit, errors: Float[np.ndarray, "M"], trial
     return sorted([*others, max([trial, *old], key=lambda t: t.closed)], key=lambda t: -t.closed)
 
 
-def arrived(problem: Problem, before: Fit, taken: Trial) -> Fit:
-    """The winner's fit gone down to the end; where that leaves a gap, from its other shapes as well.
-
-    Those begin at the nuisance numbers from before it, which have not yet made up for a wrong shape.
-    """
-    fit = descend(replace(taken.fit, scale=worth(taken.fit.objective, taken.fit.residual)), None, 4)
-    place = placement(problem, taken.candidate)
-    extended, absent = extend(before, [place])
-    sets = [with_quantities(extended, absent, [place], [shape]) for shape in strong_probes(problem, place)]
-    if fit.rms <= SHAPED * problem.floor or len(sets) < 2:
-        return fit
-    residuals = extended.residuals(np.array(sets))
-    promising = np.argsort([rms(r) for r in residuals], kind="stable")[:SHAPES]
-    own, space = fresh_columns(before, extended), extended.simulated.space
-    others = [descend(begin(extended, np.clip(space.to_unit(sets[number]), 0.0, 1.0)), own, 3) for number in promising]
-    again = descend(min(others, key=lambda other: other.rms), None, 4)
-    return again if again.rms < fit.rms else fit
-
-
-def simplest(passing: Sequence[Trial]) -> Trial | None:
+def simplest(problem: Problem, passing: Sequence[Trial]) -> Trial | None:
     """The best of the candidates that pass, or the special case of it that does as well; None where none passes."""
     if not passing or (special := load("effects", passing[0].candidate.effect, Effect).special) is None:
         return passing[0] if passing else None
-    plain = Candidate(special[0], passing[0].candidate.targets)
-    return next((t for t in passing if t.candidate == plain and t.closed >= AS_WELL * passing[0].closed), passing[0])
+    best, plain = passing[0], Candidate(special[0], passing[0].candidate.targets)
+    as_well = (
+        t for t in passing if t.candidate == plain and t.closed >= AS_WELL * best.closed and not told_apart(problem, t, best)
+    )
+    return next(as_well, best)
 
 
 def comes_down_to(problem: Problem, trial: Trial) -> Candidate | None:
@@ -172,65 +149,6 @@ def comes_down_to(problem: Problem, trial: Trial) -> Candidate | None:
     low, high = trial.fit.intervals()[place.full_name(quantity)]
     known = low <= value <= high and high - low < NARROW * box
     return Candidate(effect, trial.candidate.targets) if known else None
-
-
-def try_best(
-    problem: Problem,
-    fit: Fit,
-    errors: Float[np.ndarray, "M"],
-    scored: Sequence[Scored],
-    done: Callable[[int], object] = lambda n: None,
-) -> list[Trial]:
-    """Refit the candidates with the largest shares; best on left-out motions first."""
-    if far_off(problem, fit):
-        return try_boldly(problem, fit, errors, scored, done)
-    serious = [s for s in scored if s.share >= SERIOUS_SHARE]
-    # one set of numbers for a hardware group rests on all its joints, which the test of single joints undervalues
-    groups = [s for s in serious if len(s.candidate.targets) > 1][:GROUPS]
-    begun = []
-    for one in [*serious[:REFITTED], *(s for s in groups if s not in serious[:REFITTED])]:
-        begun.append((refitted(problem, fit, one, iterations=2), one))
-        done(1)
-    begun.sort(key=lambda pair: pair[0].rms)
-    gained = [1.0 - (near.rms / fit.rms) ** 2 for near, _ in begun]
-    trials = []
-    for (near, one), gain in zip(begun, gained, strict=True):
-        if gain >= HOPELESS * gained[0] and len(trials) < FINISHED:
-            trials.append(judged(problem, descend(near, fresh_columns(fit, near.objective), iterations=4), errors, one))
-    return sorted(trials, key=lambda t: -t.closed)
-
-
-def try_boldly(
-    problem: Problem, fit: Fit, errors: Float[np.ndarray, "M"], scored: Sequence[Scored], done: Callable[[int], object]
-) -> list[Trial]:
-    """Every effect at its best place, from the best of several starts, on short stretches first; the best ones all the way."""
-    brief = begin(replace(fit.objective, windows=stretches(fit), simulations=0), fit.unit)
-    rough = []
-    for one in {s.candidate.effect: s for s in reversed(scored)}.values():
-        place = placement(problem, one.candidate)
-        extended, absent = extend(brief, [place])
-        starts = bold_starts(problem, place, one, extended, absent)
-        best = starts[int(np.argmin([rms(r) for r in extended.residuals(np.array(starts))]))]
-        near = descend(with_column(brief, extended, best), fresh_columns(brief, extended), 3)
-        rough.append((near, extend(fit, [place])[0], one))
-        done(1)
-    rough.sort(key=lambda found: found[0].rms)
-    trials = []
-    for begun, extended, one in rough[:REFITTED]:
-        near = descend(begun, None, iterations=6)
-        trials.append(judged(problem, descend(begin(extended, near.unit), None, iterations=4), errors, one))
-        done(1)
-    return sorted(trials, key=lambda t: -t.closed)
-
-
-def bold_starts(
-    problem: Problem, place: Placement, scored: Scored, extended: Objective, absent: Float[np.ndarray, "P"]
-) -> list[Float[np.ndarray, "P"]]:
-    """Parameter sets: where the score test says, and strong versions; each also with little of the friction it may replace."""
-    quantities = [scored.start, *strong_probes(problem, place)[:4]]
-    starts = [with_quantities(extended, absent, [place], [one]) for one in quantities]
-    friction = np.array([name.startswith("coulomb.") for name in extended.simulated.space.names])
-    return [*starts, *(np.where(friction, 0.2 * start, start) for start in starts if friction.any())]
 
 
 def with_rough(
@@ -275,62 +193,6 @@ def with_confusable(
         more.append(refit(problem, fit, errors, one))
         done(1)
     return sorted([*trials, *more], key=lambda t: -t.closed)
-
-
-def refit(problem: Problem, fit: Fit, errors: Float[np.ndarray, "M"], scored: Scored) -> Trial:
-    """One candidate, from where the score test puts it, with all nuisance numbers free, judged on motions left out."""
-    return judged(problem, refitted(problem, fit, scored, iterations=6), errors, scored)
-
-
-def refitted(problem: Problem, fit: Fit, scored: Scored, iterations: int) -> Fit:
-    """The model with one candidate, some steps from where the score test puts it, in whichever of its shapes promises most."""
-    place = placement(problem, scored.candidate)
-    extended, absent = extend(fit, [place])
-    starts = [with_quantities(extended, absent, [place], [one]) for one in shapes(problem, place, scored.start)]
-    best = int(np.argmin(unexplained_by(fit)(extended.residuals(np.array(starts))))) if len(starts) > 1 else 0
-    return descend(with_column(fit, extended, starts[best]), fresh_columns(fit, extended), iterations)
-
-
-def shapes(problem: Problem, place: Placement, start: Mapping[str, float]) -> list[dict[str, float]]:
-    """A candidate's quantities as they are, and with the same strength in the shape of each of its probes (a speed, a place)."""
-    parameters = place.effect.parameters(problem.robot.model, place.targets)
-    form = [p.name for p in parameters if p.absent is None]
-    others = [{**start, **{name: probe[name] for name in form if name in probe}} for probe in probes_of(problem, place)]
-    return [one for i, one in enumerate([dict(start), *others]) if one not in [dict(start), *others][:i]]
-
-
-def probes_of(problem: Problem, place: Placement) -> Sequence[Mapping[str, float]]:
-    return place.effect.probes(problem.robot.model, place.targets)
-
-
-def strong_probes(problem: Problem, place: Placement) -> list[dict[str, float]]:
-    """The probes made strong, inside the box; those that end in the same corner of it count once."""
-    scaled = [scaled_probe(place, problem, probe, STRONG) for probe in probes_of(problem, place)]
-    return [one for i, one in enumerate(scaled) if one is not None and one not in scaled[:i]]
-
-
-def judged(problem: Problem, fit: Fit, errors: Float[np.ndarray, "M"], scored: Scored | Trial) -> Trial:
-    """A refitted candidate on motions left out, against `errors` without it."""
-    left = left_out_errors(problem, fit)
-    gain = errors - left
-    gap = max(float(errors.mean()) - problem.floor**2, 1e-18)
-    low, _ = bootstrap(gain, problem.settings.seed)
-    return Trial(scored.candidate, scored.share, fit, left, float(gain.mean()) / gap, low > 0.0)
-
-
-def fresh_columns(fit: Fit, extended: Objective) -> np.ndarray:
-    return np.arange(len(extended.simulated.space)) >= len(fit.unit)
-
-
-def with_column(fit: Fit, extended: Objective, start: Float[np.ndarray, "P"]) -> Fit:
-    """The fit at a larger model's starting point: nuisance columns are kept, the candidate's are differenced."""
-    space = extended.simulated.space
-    unit = np.clip(space.to_unit(start), 0.0, 1.0)
-    new = np.flatnonzero(fresh_columns(fit, extended))
-    steps = np.where(unit + STEP <= 1.0, STEP, -STEP)
-    residuals = extended.residuals(space.from_unit(np.vstack([unit, unit + np.diag(steps)[new]])))
-    columns = ((residuals[1:] - residuals[0]) / steps[new, None]).T
-    return Fit(extended, unit, residuals[0], np.hstack([fit.jacobian, columns]), worth(extended, residuals[0]))
 
 
 def passes(problem: Problem, trial: Trial) -> bool:
@@ -382,14 +244,17 @@ def without(fit: Fit, candidate: Candidate) -> Fit:
 def rivals(problem: Problem, trials: Sequence[Trial], winner: Trial) -> list[tuple[Trial, bool]]:
     """The other candidates of a round, and whether left-out motions can tell each from the winner.
 
-    They can where a paired bootstrap says so and the difference is more than two correct simulators may have between them. An
-    effect that comes down to the winner is no other answer.
+    An effect that comes down to the winner is no other answer.
     """
-    out = []
-    least = DISTINCT * max(problem.floor**2, float(winner.errors.mean()))
-    for trial in trials:
-        if trial.candidate != winner.candidate and comes_down_to(problem, trial) != winner.candidate:
-            worse = trial.errors - winner.errors
-            low, _ = bootstrap(worse, problem.settings.seed)
-            out.append((trial, low > 0.0 and float(worse.mean()) > least))
-    return out
+    others = [t for t in trials if t.candidate != winner.candidate and comes_down_to(problem, t) != winner.candidate]
+    return [(trial, told_apart(problem, trial, winner)) for trial in others]
+
+
+def told_apart(problem: Problem, worse: Trial, better: Trial) -> bool:
+    """Whether left-out motions speak for the better of two candidates.
+
+    They do where a paired bootstrap says so and the difference is more than two correct simulators may have between them.
+    """
+    apart = worse.errors - better.errors
+    low, _ = bootstrap(apart, problem.settings.seed)
+    return low > 0.0 and float(apart.mean()) > DISTINCT * max(problem.floor**2, float(better.errors.mean()))

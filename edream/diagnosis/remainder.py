@@ -17,11 +17,11 @@ from jaxtyping import Float
 
 from edream.core.effect import Effect, State
 from edream.core.parameters import Parameter
-from edream.diagnosis.decide import fresh_columns, with_column
 from edream.diagnosis.descent import Fit, descend
 from edream.diagnosis.left_out import bootstrap, folds, left_out_errors
 from edream.diagnosis.problem import Problem
 from edream.diagnosis.screen import Projection, extend
+from edream.diagnosis.trials import fresh_columns, with_column
 from edream.sim.scales import torque_scale
 from edream.sim.simulation import Placement
 

@@ -6,11 +6,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from edream.diagnosis.candidates import Candidate
-from edream.diagnosis.decide import refit
 from edream.diagnosis.descent import Fit, cost, descend
 from edream.diagnosis.left_out import left_out_errors
 from edream.diagnosis.problem import Problem, nuisance_placements
 from edream.diagnosis.screen import screen
+from edream.diagnosis.trials import refit
 from edream.sim.simulation import SimulatedRobot
 
 EVIDENCE = 4.0  # by how much the cost (-2 log posterior) must fall

@@ -11,17 +11,17 @@ from edream.catalog import load
 from edream.core.effect import Effect
 from edream.core.parameters import Parameter
 from edream.diagnosis.candidates import Candidate, placement
-from edream.diagnosis.decide import REAL_GAP, Round, Trial, backward, forward, rivals
+from edream.diagnosis.decide import ALIKE, REAL_GAP, Round, backward, forward, rivals
 from edream.diagnosis.descent import Fit, polish
-from edream.diagnosis.left_out import bootstrap, proof_errors
+from edream.diagnosis.left_out import bootstrap, left_out_errors, proof_errors
 from edream.diagnosis.nuisance import fit_nuisance, published
 from edream.diagnosis.problem import Problem
 from edream.diagnosis.remainder import Remainder, find_remainder
 from edream.diagnosis.suspects import Suspect, find_suspects
+from edream.diagnosis.trials import Trial
 from edream.sim.objective import rms
 from edream.sim.simulation import unit_at
 
-ALIKE = 0.9  # a rival that closes this share of what the winner closes may be the true one
 STRANGE = (0.68, 1.35)  # times its published value: a nuisance number below or above is an effect itself, 30 % off is usual
 CLOSED = 0.9  # share of the gap, in root-mean-square error, from which what is left is not worth a formula
 ENOUGH = 0.5  # share of the squared gap that named effects must close, or what is left has no name
@@ -112,10 +112,11 @@ def diagnose(problem: Problem, done: Callable[[str, int], object] = lambda text,
         strange = [placement(problem, Candidate(n.name, n.targets)).full_name(q) for n in numbers for q in n.values]
         suspects = find_suspects(problem, fit, strange, lambda n: done("looking behind strange numbers", n))
         effects = with_suspects(problem, numbers, suspects)
-    remainder = unexplained(problem, before, fit, rounds, trials)
+    left = left_out_errors(problem, fit) if trials else rounds[0].errors
+    remainder = unexplained(problem, before, fit, rounds[0].errors, left, trials)
     done("remainder", 1)
     gap = max(rms(np.sqrt(rounds[0].errors)), rms(ladder[1][1])) / problem.floor
-    verdict = judge(effects, remainder, gap, falls_short(problem, rounds, trials))
+    verdict = judge(effects, remainder, gap, bool(trials) and falls_short(problem, rounds[0].errors, left))
     if remainder is not None:
         fit = remainder.fit
         effects = [one for one in effects if remainder.beside_names]
@@ -236,37 +237,42 @@ def with_suspects(problem: Problem, numbers: list[Named], suspects: Sequence[Sus
     return [Named(effect.name, effect.summary, best.candidate.targets, values, intervals, units, float("nan"), None, rivals_)]
 
 
-def unexplained(problem: Problem, before: Fit, fit: Fit, rounds: Sequence[Round], trials: Sequence[Trial]) -> Remainder | None:
+def unexplained(
+    problem: Problem,
+    before: Fit,
+    fit: Fit,
+    first: Float[np.ndarray, "M"],
+    left: Float[np.ndarray, "M"],
+    trials: Sequence[Trial],
+) -> Remainder | None:
     """What has no name: a formula for what the named effects leave, or one that does better alone than all of them together.
 
     None where the gap is closed, or what is left is small beside what one effect explains, or no formula holds on left-out motions.
     Where several effects were needed, each of which took what the last one had left, they may be stand-ins for something else.
+    `first` and `left` are the errors on motions left out, without the named effects and with them.
     """
-    errors = trials[-1].errors if trials else rounds[0].errors
-    start, end, floor = float(rounds[0].errors.mean()), float(errors.mean()), problem.floor**2
+    start, end, floor = float(first.mean()), float(left.mean()), problem.floor**2
     if np.sqrt(end) <= REAL_GAP * problem.floor:
         return None
     closed = bool(trials) and np.sqrt(start) - np.sqrt(end) >= CLOSED * (np.sqrt(start) - problem.floor)
     if not closed:
         beside = find_remainder(problem, fit, beside_names=bool(trials))
         if beside is not None and beside.real:
-            left = float(beside.errors.mean())
-            if not trials or falls_short(problem, rounds, trials) or left - floor < 0.5 * (end - floor):
+            rest = float(beside.errors.mean())
+            if not trials or falls_short(problem, first, left) or rest - floor < 0.5 * (end - floor):
                 return beside
     if not trials or (closed and len(trials) < 2):
         return None
     alone = find_remainder(problem, before)
     if alone is None or not alone.real:
         return None
-    better, _ = bootstrap(errors - alone.errors, problem.settings.seed)
+    better, _ = bootstrap(left - alone.errors, problem.settings.seed)
     return alone if better > 0.0 and float(alone.errors.mean()) - floor < 0.5 * (end - floor) else None
 
 
-def falls_short(problem: Problem, rounds: Sequence[Round], trials: Sequence[Trial]) -> bool:
+def falls_short(problem: Problem, first: Float[np.ndarray, "M"], left: Float[np.ndarray, "M"]) -> bool:
     """Whether the named effects close less than half of a real gap and leave one: then what is missing has not been found."""
-    if not trials:
-        return False
-    start, end, floor = float(rounds[0].errors.mean()), float(trials[-1].errors.mean()), problem.floor**2
+    start, end, floor = float(first.mean()), float(left.mean()), problem.floor**2
     return end > REAL_GAP**2 * floor and start - end < ENOUGH * (start - floor)
 
 

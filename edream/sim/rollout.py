@@ -4,6 +4,7 @@ import logging
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import pairwise
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -15,7 +16,16 @@ from edream.sim.hooks import batch_hooks
 from edream.sim.rotor import has_rotor, wind_up
 from edream.sim.servo import geared_readings
 from edream.sim.simulation import SimulatedRobot, write_fields
-from edream.sim.start import before_its_reading, reading_delays, start_actuators, start_sensors, start_velocity
+from edream.sim.start import (
+    before_its_reading,
+    error_since,
+    held_at_rest,
+    integral_states,
+    reading_delays,
+    start_actuators,
+    start_sensors,
+    start_velocity,
+)
 from edream.sim.window import Window
 
 CHUNK = 100
@@ -122,38 +132,67 @@ class _Replay:
     def _start(self, joints: Sequence[str]) -> None:
         """Put every simulation at its window's first measured state, with the command history that led there."""
         self.batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
-        qpos, qvel = self.batch.bind("qpos"), self.batch.bind("qvel")
-        geared = geared_readings(self.model, joints)
-        gear = self.batch.expand("actuator_gear") if geared else None
         self.commands = [_held_commands(window, self.step, steps) for window, steps in zip(self.windows, self.steps, strict=True)]
+        integrals = integral_states(self.model, self.index)
+        gathered = self._gathered(joints) if integrals else None
         for number, window in enumerate(self.windows):
-            rows = slice(number * self.n, (number + 1) * self.n)
+            rows = self._rows(number)
             delays = reading_delays(self.batch, self.model, window, rows)
-            velocity = start_velocity(window)
-            for joint, index, position, speed in zip(joints, self.index, window.measured[0], velocity, strict=True):
-                if joint in delays:
-                    position, speed = before_its_reading(window, joint, delays[joint])
-                own = gear[rows, geared[joint], 0] if gear is not None and joint in geared else 1.0
-                qpos[rows, index["qpos"]] = position / own
-                qvel[rows, index["dof"]] = speed / own
-                twin = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_JOINT, joint + MOTOR_SUFFIX)
-                if twin >= 0:
-                    qpos[rows, self.model.jnt_qposadr[twin]] = position / own
-                    qvel[rows, self.model.jnt_dofadr[twin]] = speed / own
+            state = [
+                before_its_reading(window, joint, delays[joint]) if joint in delays else (position, speed)
+                for joint, position, speed in zip(joints, window.measured[0], start_velocity(window), strict=True)
+            ]
+            self._place(rows, joints, state)
             start_actuators(self.batch, self.model, self.index, rows, window, self.step)
             start_sensors(self.batch, self.model, rows, window, self.step, delays)
             self.batch.bind("ctrl")[rows, self.ctrl_columns] = self.commands[number][0]
+        if gathered is not None:
+            self.batch.bind("act")[:, integrals] = gathered
         rotors = any(has_rotor(self.model, joint) for joint in joints)
         if rotors:
-            self.batch.forward()
             self._wind_up()
         if rotors or self.hooks is not None or self.record == "sensordata":
             self.batch.forward()
 
+    def _rows(self, number: int) -> slice:
+        return slice(number * self.n, (number + 1) * self.n)
+
+    def _place(self, rows: slice, joints: Sequence[str], state: Sequence[tuple[Any, Any]]) -> None:
+        """Put the joints of some simulations, and the rotors behind them, where their encoders read so, at these speeds."""
+        qpos, qvel = self.batch.bind("qpos"), self.batch.bind("qvel")
+        geared = geared_readings(self.model, joints)
+        gear = self.batch.expand("actuator_gear") if geared else None
+        for joint, index, (position, speed) in zip(joints, self.index, state, strict=True):
+            own = gear[rows, geared[joint], 0] if gear is not None and joint in geared else 1.0
+            qpos[rows, index["qpos"]] = position / own
+            qvel[rows, index["dof"]] = speed / own
+            twin = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_JOINT, joint + MOTOR_SUFFIX)
+            if twin >= 0:
+                qpos[rows, self.model.jnt_qposadr[twin]] = position / own
+                qvel[rows, self.model.jnt_dofadr[twin]] = speed / own
+
+    def _gathered(self, joints: Sequence[str]) -> Float[np.ndarray, "N I"]:
+        """What each servo's integral holds as the windows begin, all recordings having begun at rest."""
+        for number, window in enumerate(self.windows):
+            self._place(self._rows(number), joints, [(position, 0.0) for position in window.episode.position[0]])
+            self.batch.bind("ctrl")[self._rows(number), self.ctrl_columns] = window.episode.command[0]
+        lacking = self._forward("qfrc_bias", "qfrc_passive", "qfrc_actuator")
+        out = held_at_rest(self.batch, self.model, self.index, lacking)
+        for number, window in enumerate(self.windows):
+            out[self._rows(number)] += error_since(window, self.model, self.index)
+        self.batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
+        return out
+
     def _wind_up(self) -> None:
         bind, expand = self.batch.bind, self.batch.expand
         fields = (expand("tendon_stiffness"), expand("tendon_range"), expand("tendon_lengthspring"), bind("eq_active"))
-        wind_up(self.model, bind("qpos"), bind("qfrc_bias") - bind("qfrc_passive"), *fields)
+        wind_up(self.model, bind("qpos"), self._forward("qfrc_bias", "qfrc_passive") @ [1.0, -1.0], *fields)
+
+    def _forward(self, *outputs: str) -> Float[np.ndarray, "N V outputs"]:
+        """Some outputs in the present state; they are filled by calls that come after they were asked for."""
+        asked = [self.batch.bind(name) for name in outputs]
+        self.batch.forward()
+        return np.stack(asked, axis=-1)
 
     def run(self) -> list[np.ndarray]:
         joints = len(self.index)

@@ -12,6 +12,7 @@ from edream.core.episode import Episode
 from edream.sim.window import Window
 
 MEMORY = 2.0  # s of commands before a window that a filter or a slew limit may still hold
+SETTLED = 60.0  # s for which a servo with an integral held its first pose before it was recorded
 SETS_OUT = 1.3  # times as far as at the speed of the first row: twice from rest, once in steady motion
 
 
@@ -71,6 +72,51 @@ def _setpoint(
         else:
             out = told + (out - told) * np.exp(-passed / np.maximum(law[:, 0], 1e-9))
     return out
+
+
+def integral_states(model: mujoco.MjModel, index: Sequence[dict[str, int]]) -> list[int]:
+    """Addresses of the activations that integrate a servo's error."""
+    return [
+        int(model.actuator_actadr[one["actuator"]] + model.actuator_actnum[one["actuator"]] - 1)
+        for _, one in _integrating(model, index)
+    ]
+
+
+def _integrating(model: mujoco.MjModel, index: Sequence[dict[str, int]]) -> list[tuple[int, dict[str, int]]]:
+    """Joints, by number, whose servo has an integral, the last of a PID actuator's activations."""
+    pid = int(mujoco.mjtDyn.mjDYN_PID)
+    return [
+        (column, one)
+        for column, one in enumerate(index)
+        if int(model.actuator_dyntype[one["actuator"]]) == pid
+        and model.actuator_actnum[one["actuator"]] > int(model.actuator_dynprm[one["actuator"], 1] > 0.0)
+    ]
+
+
+def held_at_rest(
+    simulations: batch.Batch, model: mujoco.MjModel, index: Sequence[dict[str, int]], forces: Float[np.ndarray, "N V 3"]
+) -> Float[np.ndarray, "N I"]:
+    """What each integral has gathered while the servo held a pose [rad s].
+
+    It makes up for what the rest of the servo lacks to carry the joint, with the time constant kp / ki. `forces` [N m] are those of
+    gravity, of springs and of the servos without their integrals.
+    """
+    gain, bias = simulations.expand("actuator_gainprm"), simulations.expand("actuator_biasprm")
+    out = []
+    for _, one in _integrating(model, index):
+        ki, kp = gain[:, one["actuator"], 0], -bias[:, one["actuator"], 1]
+        share = np.where(ki > 0.0, -np.expm1(-ki * SETTLED / kp) / np.where(ki > 0.0, ki, 1.0), SETTLED / kp)
+        out.append((forces[:, one["dof"], 0] - forces[:, one["dof"], 1] - forces[:, one["drive"], 2]) * share)
+    return np.stack(out, axis=1)
+
+
+def error_since(window: Window, model: mujoco.MjModel, index: Sequence[dict[str, int]]) -> Float[np.ndarray, "I"]:
+    """Integral of each such servo's error from the start of the recording to that of the window [rad s]."""
+    episode, clock = window.episode, window.episode.times[: window.first + 1]
+    told = np.maximum(np.searchsorted(episode.command_times, clock[:-1] + 1e-9, side="right") - 1, 0)
+    asked = np.diff(clock) @ episode.command[told]  # held from each row to the next
+    error = asked - np.trapezoid(episode.position[: window.first + 1], clock, axis=0)
+    return error[[column for column, _ in _integrating(model, index)]]
 
 
 def start_sensors(

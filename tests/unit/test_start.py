@@ -103,3 +103,25 @@ def test_a_replay_begins_with_the_setpoint_on_its_way_to_the_command(effect: str
         data.ctrl[0] = now
         mujoco.mj_step(model, data)
     assert np.abs(_replayed(effect, [number], np.array(read))).max() < 2e-3
+
+
+@pytest.mark.parametrize("ki", [4.0, 60.0])
+def test_a_replay_begins_with_what_a_servos_integral_has_gathered(ki: float) -> None:
+    spec = ARM.spec()
+    spec.actuators[0].set_to_pid(kp=30.0, kv=1.5, ki=ki)
+    model, read = spec.compile(), []
+    data = mujoco.MjData(model)
+    data.qpos[0], data.ctrl[0] = 0.6, 0.6
+    mujoco.mj_step(model, data, 10000)  # 5 s at rest
+    told = 0.6 + SWING
+    for command in told:
+        read.append(data.qpos.copy())
+        data.ctrl[0] = command
+        mujoco.mj_step(model, data, 20)
+    episode = Episode("one", ("a",), TIMES, np.array(read), TIMES, told[:, None])
+    place = Placement(load("effects", "integral_action", Effect), ("a",))
+    for window in (Window(episode, 0, 150), Window(episode, 130, 300)):
+        ((replayed,),) = rollout(SimulatedRobot(ARM, (place,)), np.array([[ki]]), [window])
+        assert np.abs(replayed - window.measured).max() < 1.5e-3
+    ((forgotten,),) = rollout(SimulatedRobot(ARM, ()), np.zeros((1, 0)), [Window(episode, 130, 300)])
+    assert np.abs(forgotten - Window(episode, 130, 300).measured).max() > 5e-3

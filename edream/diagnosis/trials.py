@@ -1,0 +1,206 @@
+"""Candidates refitted: from where the score test puts each, with all nuisance numbers free, judged on motions left out."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from edream.diagnosis.candidates import Candidate, library, placement, rounds
+from edream.diagnosis.descent import Fit, begin, descend, stretches
+from edream.diagnosis.left_out import bootstrap, far_off, left_out_errors
+from edream.diagnosis.problem import Problem, nuisance_placements
+from edream.diagnosis.screen import Scored, acts_already, extend, fits_beside, scaled_probe, unexplained_by, with_quantities
+from edream.sim.differences import STEP
+from edream.sim.least_squares import worth
+from edream.sim.objective import Objective, rms
+from edream.sim.simulation import Placement, SimulatedRobot
+
+REFITTED, GROUPS, FINISHED = 8, 4, 6
+HOPELESS = 0.4  # of the best candidate's gain after two steps: those below are not refitted to the end
+SERIOUS_SHARE = 0.01
+STRONG = 5.0  # probes
+SHAPED = 1.5  # floors of error from which a winner is tried in its other shapes
+SHAPES = 3  # so many of them
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """A candidate refitted.
+
+    Attributes:
+        candidate: effect and place.
+        share: what the score test gave it.
+        fit: the model with it, all nuisance numbers free.
+        errors: mean squared error [rad^2] of each fitted motion while it was left out, (M,).
+        closed: share of the gap above the floor that it closes on left-out motions.
+        sure: whether a paired bootstrap over motions puts the improvement above zero.
+    """
+
+    candidate: Candidate
+    share: float
+    fit: Fit
+    errors: Float[np.ndarray, "M"]
+    closed: float
+    sure: bool
+
+
+def try_best(
+    problem: Problem,
+    fit: Fit,
+    errors: Float[np.ndarray, "M"],
+    scored: Sequence[Scored],
+    done: Callable[[int], object] = lambda n: None,
+) -> list[Trial]:
+    """Refit the candidates with the largest shares; best on left-out motions first."""
+    if far_off(problem, fit):
+        return try_boldly(problem, fit, errors, scored, done)
+    serious = [s for s in scored if s.share >= SERIOUS_SHARE]
+    # one set of numbers for a hardware group rests on all its joints, which the test of single joints undervalues
+    groups = [s for s in serious if len(s.candidate.targets) > 1][:GROUPS]
+    begun = []
+    for one in [*serious[:REFITTED], *(s for s in groups if s not in serious[:REFITTED])]:
+        begun.append((refitted(problem, fit, one, iterations=2), one))
+        done(1)
+    begun.sort(key=lambda pair: pair[0].rms)
+    gained = [1.0 - (near.rms / fit.rms) ** 2 for near, _ in begun]
+    trials = []
+    for (near, one), gain in zip(begun, gained, strict=True):
+        if gain >= HOPELESS * gained[0] and len(trials) < FINISHED:
+            trials.append(judged(problem, descend(near, fresh_columns(fit, near.objective), iterations=4), errors, one))
+    return sorted(trials, key=lambda t: -t.closed)
+
+
+def try_boldly(
+    problem: Problem, fit: Fit, errors: Float[np.ndarray, "M"], scored: Sequence[Scored], done: Callable[[int], object]
+) -> list[Trial]:
+    """Every effect at its best place, from the best of several starts, on short stretches first; the best ones all the way."""
+    brief = begin(replace(fit.objective, windows=stretches(fit), simulations=0), fit.unit)
+    rough = []
+    for one in [*{s.candidate.effect: s for s in reversed(scored)}.values(), *overlooked(problem, fit, scored)]:
+        place = placement(problem, one.candidate)
+        extended, absent = extend(brief, [place])
+        starts = bold_starts(problem, place, one, extended, absent)
+        best = starts[int(np.argmin([rms(r) for r in extended.residuals(np.array(starts))]))]
+        near = descend(with_column(brief, extended, best), fresh_columns(brief, extended), 3)
+        rough.append((near, extend(fit, [place])[0], one))
+        done(1)
+    rough.sort(key=lambda found: found[0].rms)
+    trials = []
+    for begun, extended, one in rough[:REFITTED]:
+        near = descend(begun, None, iterations=6)
+        trials.append(judged(problem, descend(begin(extended, near.unit), None, iterations=4), errors, one))
+        done(1)
+    return sorted(trials, key=lambda t: -t.closed)
+
+
+def overlooked(problem: Problem, fit: Fit, scored: Sequence[Scored]) -> list[Scored]:
+    """The effects that help nowhere beside the fitted numbers, on the joint that is off most: those may be far from true."""
+    worst = problem.joints[int(np.argmax((fit.residual.reshape(-1, len(problem.joints)) ** 2).mean(axis=0)))]
+    known = {s.candidate.effect for s in scored}
+    there = [c for one in rounds(problem, library(problem)) for c in one if c.targets == (worst,) and c.effect not in known]
+    fresh = [c for c in there if not acts_already(c, fit.objective.simulated.placements) and fits_beside(problem, fit, [c])]
+    return [Scored(c, probes_of(problem, placement(problem, c))[0], 0.0) for c in fresh]
+
+
+def bold_starts(
+    problem: Problem, place: Placement, scored: Scored, extended: Objective, absent: Float[np.ndarray, "P"]
+) -> list[Float[np.ndarray, "P"]]:
+    """Parameter sets: where the score test says, and strong versions; each also with little of the friction it may replace.
+
+    And every shape beside the published numbers, for those that were fitted may have gone far to make up for what is missing.
+    """
+    quantities = [scored.start, *strong_probes(problem, place)[:4]]
+    starts = [with_quantities(extended, absent, [place], [one]) for one in quantities]
+    names = extended.simulated.space.names
+    friction = np.array([name.startswith("coulomb.") for name in names])
+    published = SimulatedRobot(problem.robot, nuisance_placements(problem)).space
+    told = published.mapping(published.start())
+    believed = np.array([told.get(name, value) for name, value in zip(names, absent, strict=True)])
+    beside = [with_quantities(extended, believed, [place], [one]) for one in probes_of(problem, place)]
+    return [*starts, *(np.where(friction, 0.2 * start, start) for start in starts if friction.any()), *beside]
+
+
+def refit(problem: Problem, fit: Fit, errors: Float[np.ndarray, "M"], scored: Scored) -> Trial:
+    """One candidate, from where the score test puts it, with all nuisance numbers free, judged on motions left out."""
+    return judged(problem, refitted(problem, fit, scored, iterations=6), errors, scored)
+
+
+def refitted(problem: Problem, fit: Fit, scored: Scored, iterations: int) -> Fit:
+    """The model with one candidate, some steps from where the score test puts it, in whichever of its shapes promises most."""
+    place = placement(problem, scored.candidate)
+    extended, absent = extend(fit, [place])
+    starts = [with_quantities(extended, absent, [place], [one]) for one in shapes(problem, place, scored.start)]
+    best = int(np.argmin(unexplained_by(fit)(extended.residuals(np.array(starts))))) if len(starts) > 1 else 0
+    return descend(with_column(fit, extended, starts[best]), fresh_columns(fit, extended), iterations)
+
+
+def shapes(problem: Problem, place: Placement, start: Mapping[str, float]) -> list[dict[str, float]]:
+    """A candidate's quantities as they are, and with the same strength in the shape of each of its probes (a speed, a place)."""
+    parameters = place.effect.parameters(problem.robot.model, place.targets)
+    form = [p.name for p in parameters if p.absent is None]
+    others = [{**start, **{name: probe[name] for name in form if name in probe}} for probe in probes_of(problem, place)]
+    return [one for i, one in enumerate([dict(start), *others]) if one not in [dict(start), *others][:i]]
+
+
+def arrived(problem: Problem, before: Fit, taken: Trial) -> Fit:
+    """The winner's fit gone down to the end; where that leaves a gap, from its other shapes as well.
+
+    Those begin at the nuisance numbers from before it, which have not yet made up for a wrong shape.
+    """
+    fit = descend(replace(taken.fit, scale=worth(taken.fit.objective, taken.fit.residual)), None, 4)
+    place = placement(problem, taken.candidate)
+    extended, absent = extend(before, [place])
+    sets = [with_quantities(extended, absent, [place], [shape]) for shape in strong_probes(problem, place)]
+    if fit.rms <= SHAPED * problem.floor or len(sets) < 2:
+        return fit
+    residuals = extended.residuals(np.array(sets))
+    promising = np.argsort([rms(r) for r in residuals], kind="stable")[:SHAPES]
+    own, space = fresh_columns(before, extended), extended.simulated.space
+    others = [descend(begin(extended, np.clip(space.to_unit(sets[number]), 0.0, 1.0)), own, 3) for number in promising]
+    again = descend(min(others, key=lambda other: other.rms), None, 4)
+    return again if again.rms < fit.rms else fit
+
+
+def beside(problem: Problem, bare: Fit, candidate: Candidate) -> Fit:
+    """A candidate in the best of its shapes beside some nuisance numbers, and both together gone down from there."""
+    place = placement(problem, candidate)
+    extended, absent = extend(bare, [place])
+    sets = [with_quantities(extended, absent, [place], [shape]) for shape in probes_of(problem, place)]
+    start = sets[int(np.argmin([rms(r) for r in extended.residuals(np.array(sets))]))]
+    near = descend(with_column(bare, extended, start), fresh_columns(bare, extended), 3)
+    return descend(near, None, 6)
+
+
+def judged(problem: Problem, fit: Fit, errors: Float[np.ndarray, "M"], scored: Scored | Trial) -> Trial:
+    """A refitted candidate on motions left out, against `errors` without it."""
+    left = left_out_errors(problem, fit)
+    gain = errors - left
+    gap = max(float(errors.mean()) - problem.floor**2, 1e-18)
+    low, _ = bootstrap(gain, problem.settings.seed)
+    return Trial(scored.candidate, scored.share, fit, left, float(gain.mean()) / gap, low > 0.0)
+
+
+def with_column(fit: Fit, extended: Objective, start: Float[np.ndarray, "P"]) -> Fit:
+    """The fit at a larger model's starting point: nuisance columns are kept, the candidate's are differenced."""
+    space = extended.simulated.space
+    unit = np.clip(space.to_unit(start), 0.0, 1.0)
+    new = np.flatnonzero(fresh_columns(fit, extended))
+    steps = np.where(unit + STEP <= 1.0, STEP, -STEP)
+    residuals = extended.residuals(space.from_unit(np.vstack([unit, unit + np.diag(steps)[new]])))
+    columns = ((residuals[1:] - residuals[0]) / steps[new, None]).T
+    return Fit(extended, unit, residuals[0], np.hstack([fit.jacobian, columns]), worth(extended, residuals[0]))
+
+
+def fresh_columns(fit: Fit, extended: Objective) -> np.ndarray:
+    return np.arange(len(extended.simulated.space)) >= len(fit.unit)
+
+
+def probes_of(problem: Problem, place: Placement) -> Sequence[Mapping[str, float]]:
+    return place.effect.probes(problem.robot.model, place.targets)
+
+
+def strong_probes(problem: Problem, place: Placement) -> list[dict[str, float]]:
+    """The probes made strong, inside the box; those that end in the same corner of it count once."""
+    scaled = [scaled_probe(place, problem, probe, STRONG) for probe in probes_of(problem, place)]
+    return [one for i, one in enumerate(scaled) if one is not None and one not in scaled[:i]]
