@@ -10,8 +10,9 @@ import numpy as np
 
 from edream.sim.rotor import has_rotor, wind_up
 from edream.sim.simulation import SimulatedRobot, late_last
+from edream.sim.start import SETTLED
 
-STATEFUL = "MuJoCo starts filters and delays at zero; this file starts them at the command that holds."
+STATEFUL = "MuJoCo starts filters, delays and integrals at zero; this file starts them at the command that holds, as at rest."
 GEARED = "Motors behind gears that give or have play, <joint>_motor, are put where their gears carry the load at time 0."
 
 HEAD = '''"""{title}
@@ -134,7 +135,20 @@ def begin(model, data):
         if samples and (geared or model.sensor_type[sensor] == int(mujoco.mjtSensor.mjSENS_JOINTPOS)):
             values = model.sensor_historyadr[sensor] + 2 + samples
             data.history[values : values + samples] = gear * data.qpos[model.jnt_qposadr[joint]]
-{gears}    mujoco.mj_forward(model, data)
+{gears}    moving = data.qvel.copy()
+    data.qvel[:] = 0.0
+    mujoco.mj_forward(model, data)
+    for actuator in range(model.nactuator):
+        first, count = model.actuator_actadr[actuator], model.actuator_actnum[actuator]
+        pid = int(model.actuator_dyntype[actuator]) == int(mujoco.mjtDyn.mjDYN_PID)
+        if pid and count > (model.actuator_dynprm[actuator, 1] > 0.0):
+            motor = model.joint(model.actuator_trnid[actuator, 0])
+            dof = model.joint(motor.name.removesuffix("_motor")).dofadr[0]
+            lacking = data.qfrc_bias[dof] - data.qfrc_passive[dof] - data.qfrc_actuator[motor.dofadr[0]]
+            ki, kp = model.actuator_gainprm[actuator, 0], -model.actuator_biasprm[actuator, 1]
+            data.act[first + count - 1] += lacking * -np.expm1(-ki * {settled} / kp) / ki
+    data.qvel[:] = moving
+    mujoco.mj_forward(model, data)
 
 
 def make(model):
@@ -195,7 +209,7 @@ def hook_text(simulated: SimulatedRobot, numbers: Sequence[Mapping[str, np.ndarr
     if geared:
         sources[wind_up.__name__] = "\n" + inspect.getsource(wind_up).replace(": Any", "").replace(" -> None", "")
     laws = "\n\n".join(sources[name] for name in sorted(sources))
-    return head + laws + BODY.format(calls=calls, gears=GEARS if geared else "")
+    return head + laws + BODY.format(calls=calls, gears=GEARS if geared else "", settled=SETTLED)
 
 
 def _plain(source: str) -> str:
