@@ -27,6 +27,7 @@ NEAR, RIVALS = 0.75, 5  # of the best one's gain; so many go on
 NARROW = 0.3  # of a quantity's range: an interval that says something
 AS_WELL = 0.95  # of the share that an effect closes: its special case closes as much, and needs less to be believed
 DISTINCT = 0.5  # of the floor squared, or of the error where that is larger
+FEWEST = 3  # motions that a difference may rest on
 HALF = 0.5  # of the gap: a candidate that closes less of a real one may be a stand-in
 BOUND = 1e-3  # of the unit box: nearer, a number sits at its bound
 VISIBLE = 0.1  # of the floor: with nothing hidden, less is left over it
@@ -253,8 +254,11 @@ def rivals(problem: Problem, trials: Sequence[Trial], winner: Trial) -> list[tup
 def told_apart(problem: Problem, worse: Trial, better: Trial) -> bool:
     """Whether left-out motions speak for the better of two candidates.
 
-    They do where a paired bootstrap says so and the difference is more than two correct simulators may have between them.
+    They do where a paired bootstrap says so and the difference is more than two correct simulators may have between them: over all
+    motions, or twice that over the quarter that shows most: a few recordings made to tell the two apart may be among many others.
     """
     apart = worse.errors - better.errors
     low, _ = bootstrap(apart, problem.settings.seed)
-    return low > 0.0 and float(apart.mean()) > DISTINCT * max(problem.floor**2, float(better.errors.mean()))
+    least = DISTINCT * max(problem.floor**2, float(better.errors.mean()))
+    clearest = np.sort(apart)[-max(FEWEST, len(apart) // 4) :]
+    return low > 0.0 and (float(apart.mean()) > least or float(clearest.mean()) > 2.0 * least)

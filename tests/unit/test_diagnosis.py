@@ -144,6 +144,10 @@ def test_an_effect_that_comes_down_to_its_special_case_gives_way_to_it(problem: 
     # nearly the same share of a large gap may still be a difference that everyone sees
     assert told_apart(problem, replace(plain, errors=2.0 * plain.errors), even)
     assert simplest(problem, [even, replace(plain, errors=2.0 * plain.errors)]) is even
+    # a third of the motions may tell what all of them together do not
+    some = np.where(np.arange(9) < 3, 1.2e-6, 0.02e-6)
+    assert told_apart(problem, replace(plain, errors=plain.errors + some), even)
+    assert not told_apart(problem, replace(plain, errors=plain.errors + np.full(9, some.mean())), even)
 
 
 def test_a_group_one_of_whose_joints_has_the_effect_is_not_tried(problem: Problem, fit: Fit) -> None:
