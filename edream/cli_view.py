@@ -85,7 +85,7 @@ def _stacked(panels: Sequence[str]) -> Any:
 def _rerun(episode: Episode, save: Path | None) -> Mapping[str, str]:
     """Log an episode to Rerun: each joint's command and position, each camera's images."""
     try:
-        import rerun as rr
+        import rerun as rr  # pyright: ignore[reportMissingImports]
     except ImportError as error:
         why = "edream view needs Rerun, which is not installed; pip install 'edream[view]', or give --layout."
         raise EdreamError(why) from error

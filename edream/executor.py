@@ -122,7 +122,7 @@ class Ray(Executor):
 
     def _joined(self) -> Any:
         try:
-            import ray
+            import ray  # pyright: ignore[reportMissingImports]
         except ImportError as error:
             raise EdreamError("executor=ray needs Ray, which is not installed; pip install 'edream[ray]'.") from error
         if not ray.is_initialized():
