@@ -13,11 +13,7 @@ from edream.diagnosis.descent import Fit, begin, descend, polish
 from edream.diagnosis.left_out import bootstrap, is_brief, left_out_errors
 from edream.diagnosis.problem import Problem
 from edream.diagnosis.rough import rough_candidates, searched
-from edream.diagnosis.screen import (
-    Scored,
-    extend,
-    screen,
-)
+from edream.diagnosis.screen import Scored, extend, screen
 from edream.diagnosis.trials import SHAPED, SHAPES, Trial, arrived, beside, judged, refit, try_best
 from edream.sim.least_squares import worth
 
@@ -132,10 +128,8 @@ def simplest(problem: Problem, passing: Sequence[Trial]) -> Trial | None:
     if not passing or (special := load("effects", passing[0].candidate.effect, Effect).special) is None:
         return passing[0] if passing else None
     best, plain = passing[0], Candidate(special[0], passing[0].candidate.targets)
-    as_well = (
-        t for t in passing if t.candidate == plain and t.closed >= AS_WELL * best.closed and not told_apart(problem, t, best)
-    )
-    return next(as_well, best)
+    same = next((t for t in passing if t.candidate == plain and t.closed >= AS_WELL * best.closed), None)
+    return best if same is None or told_apart(problem, same, best) else same
 
 
 def comes_down_to(problem: Problem, trial: Trial) -> Candidate | None:

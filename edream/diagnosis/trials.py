@@ -117,8 +117,8 @@ def bold_starts(
     published = SimulatedRobot(problem.robot, nuisance_placements(problem)).space
     told = published.mapping(published.start())
     believed = np.array([told.get(name, value) for name, value in zip(names, absent, strict=True)])
-    beside = [with_quantities(extended, believed, [place], [one]) for one in probes_of(problem, place)]
-    return [*starts, *(np.where(friction, 0.2 * start, start) for start in starts if friction.any()), *beside]
+    plain = [with_quantities(extended, believed, [place], [one]) for one in probes_of(problem, place)]
+    return [*starts, *(np.where(friction, 0.2 * start, start) for start in starts if friction.any()), *plain]
 
 
 def refit(problem: Problem, fit: Fit, errors: Float[np.ndarray, "M"], scored: Scored) -> Trial:
