@@ -4,9 +4,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import mujoco
+import numpy as np
 
 from edream.catalog import load, names
-from edream.core.effect import Effect, holds_position
+from edream.core.effect import Effect, holds_position, joint_index
 from edream.core.errors import EdreamError
 from edream.diagnosis.problem import Problem, scaling_of
 from edream.sim.simulation import Placement
@@ -92,12 +93,31 @@ def loose_geoms(model: mujoco.MjModel) -> list[str]:
 
 
 def groups_of(problem: Problem, candidates: Sequence[Candidate]) -> list[Candidate]:
-    """One effect on several single joints, as one candidate over each hardware group of which at least two are among them."""
+    """One effect on several single joints, as one candidate over each set of them that shares hardware, or may."""
     out = []
     for effect in dict.fromkeys(c.effect for c in candidates):
         entry = load("effects", effect, Effect)
         if entry.place != "joint" or not entry.of_type:
             continue
         places = {target for c in candidates if c.effect == effect for target in c.targets}
-        out += [Candidate(effect, group) for group in problem.groups if len(group) > 1 and len(places & set(group)) >= 2]
+        known = [group for group in problem.groups if len(group) > 1 and len(places & set(group)) >= 2]
+        out += [Candidate(effect, group) for group in (*known, *(g for g in alike(problem) if set(g) <= places))]
     return out
+
+
+def alike(problem: Problem) -> list[tuple[str, ...]]:
+    """Joints that may share an effect beside usual numbers of their own: those with the same published drive; all, on one bus."""
+    drives: dict[bytes, list[str]] = {}
+    for joint in problem.joints:
+        drives.setdefault(_drive(problem.robot.model, joint), []).append(joint)
+    found = dict.fromkeys([*(tuple(joints) for joints in drives.values()), problem.joints])
+    return [group for group in found if len(group) > 1 and group not in problem.groups]
+
+
+def _drive(model: mujoco.MjModel, joint: str) -> bytes:
+    """What a model publishes of a joint's drive, to compare."""
+    index = joint_index(model, joint)
+    fields = (model.actuator_gainprm, model.actuator_biasprm, model.actuator_forcerange, model.actuator_gear)
+    own = [field[index["actuator"]] for field in fields]
+    dof = [field[index["drive"]] for field in (model.dof_damping, model.dof_frictionloss, model.dof_armature)]
+    return np.concatenate([*own, dof]).tobytes()

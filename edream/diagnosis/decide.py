@@ -14,7 +14,7 @@ from edream.diagnosis.left_out import bootstrap, is_brief, left_out_errors
 from edream.diagnosis.problem import Problem
 from edream.diagnosis.rough import rough_candidates, searched
 from edream.diagnosis.screen import Scored, extend, screen
-from edream.diagnosis.trials import SHAPED, SHAPES, Trial, arrived, beside, judged, refit, try_best
+from edream.diagnosis.trials import SHAPES, Trial, arrived, beside, judged, refit, try_best
 from edream.sim.least_squares import worth
 
 MATERIAL = 0.05  # of the gap at first, in root-mean-square error, that a further effect must close
@@ -26,6 +26,7 @@ DISTINCT = 0.5  # of the floor squared, or of the error where that is larger
 FEWEST = 3  # motions that a difference may rest on
 HALF = 0.5  # of the gap: a candidate that closes less of a real one may be a stand-in
 BOUND = 1e-3  # of the unit box: nearer, a number sits at its bound
+ROUNDING = 1e-9  # a bound of a box that went through its logarithm
 VISIBLE = 0.1  # of the floor: with nothing hidden, less is left over it
 REAL_GAP = 1.8  # how many floors of left-out error are a gap worth a name
 
@@ -95,7 +96,7 @@ def restarted(problem: Problem, errors: Float[np.ndarray, "M"], trials: Sequence
     One of them may be what closes the gap, and have been lost where numbers that make up for the whole effect led it.
     """
     best = next((t for t in trials if passes(problem, t)), None)
-    if best is None or best.fit.rms <= SHAPED * problem.floor:
+    if best is None or best.fit.rms <= (1.0 + VISIBLE) * problem.floor:
         return list(trials)
     bare = without(best.fit, best.candidate)
     near = [t for t in trials if t is not best and t.sure and t.closed >= ALIKE * best.closed][:SHAPES]
@@ -160,7 +161,8 @@ def with_rough(
         return list(trials)
     more = []
     for candidate in rough_candidates(problem, fit):
-        more.append(judged(problem, searched(problem, fit, candidate), errors, Scored(candidate, {}, 0.0)))
+        if (found := searched(problem, fit, candidate)) is not None:
+            more.append(judged(problem, found, errors, Scored(candidate, {}, 0.0)))
         done(1)
     others = [t for t in trials if t.candidate not in [m.candidate for m in more]]
     return sorted([*others, *more], key=lambda t: -t.closed)
@@ -204,7 +206,7 @@ def stands(problem: Problem, candidate: Candidate, fit: Fit) -> bool:
         if parameter.absent is None:
             continue
         low, high = intervals[parameter.name]
-        excludes = not low <= parameter.absent <= high
+        excludes = not low - ROUNDING * abs(low) <= parameter.absent <= high + ROUNDING * abs(high)
         inside = BOUND <= unit[parameter.name] <= 1.0 - BOUND  # in the box that is searched, logarithmic for a limit
         away.append(excludes and inside)
     return any(away)

@@ -205,6 +205,17 @@ def nuisance_placements(problem: Problem, fitted: Mapping[str, float] | None = N
     return tuple(placements)
 
 
+def credible(problem: Problem, fitted: Mapping[str, float]) -> bool:
+    """Whether all numbers that the model publishes are fitted within a factor of 2.5 of what it says (guesses and zeros aside)."""
+    model = problem.robot.model
+    for place in nuisance_placements(problem):
+        for parameter, full in zip(place.effect.parameters(model, place.targets), place.parameters(model), strict=True):
+            known = parameter.start > 0.0 and not parameter.guessed
+            if known and not 1.0 / CREDIBLE_FACTOR <= fitted[full.name] / parameter.start <= CREDIBLE_FACTOR:
+                return False
+    return True
+
+
 def _names(placement: Placement, problem: Problem) -> list[tuple[str, str]]:
     parameters = placement.effect.parameters(problem.robot.model, placement.targets)
     return [(p.name, placement.full_name(p.name)) for p in parameters]

@@ -16,6 +16,7 @@ from edream.sim.objective import Objective, rms
 
 GENERATIONS, CHILDREN = 14, 16
 WIDE = 0.05  # of a parameter's range: the first standard deviation where no prior is narrower
+HOPELESS = 0.5  # of the least gain that counts, to be there before all numbers go down together
 ENOUGH = 30.0  # s of motion that a search needs
 
 
@@ -28,8 +29,8 @@ def rough_candidates(problem: Problem, fit: Fit) -> list[Candidate]:
     return [c for c in found if not acts_already(c, present) and fits_beside(problem, fit, [c])]
 
 
-def searched(problem: Problem, fit: Fit, candidate: Candidate) -> Fit:
-    """The fit with a rough effect on one joint, its nuisance numbers begun at the centres of their priors.
+def searched(problem: Problem, fit: Fit, candidate: Candidate) -> Fit | None:
+    """The fit with a rough effect on one joint, its usual numbers begun at the centres of their priors; None if hopeless.
 
     The centres, which have not made up for the effect, are the published numbers where those are credible; effects found before
     stay as they are. CMA-ES over the joint's own numbers on a few motions, then a descent of all numbers on all motions.
@@ -51,6 +52,9 @@ def searched(problem: Problem, fit: Fit, candidate: Candidate) -> Fit:
         children = np.tile(start, (CHILDREN, 1))
         children[:, own] = asked = np.array(strategy.ask())
         strategy.tell(list(asked), [rms(r) for r in few.residuals(space.from_unit(children))])
+    without = rms(few.residuals(absent[None])[0])
+    if strategy.result.fbest**2 > (1.0 - HOPELESS * problem.settings.gain) * without**2:
+        return None  # a descent of all numbers on all motions takes far longer than this search
     best = start.copy()
     best[own] = np.clip(np.array(strategy.result.xbest, dtype=float), 0.0, 1.0)
     return descend(begin(extended, best), None, 4)

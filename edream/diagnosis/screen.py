@@ -21,7 +21,7 @@ from mujoco import batch
 from edream.core.effect import Effect
 from edream.core.errors import EdreamError
 from edream.core.parameters import Parameter
-from edream.diagnosis.candidates import Candidate, groups_of, library, placement, rounds
+from edream.diagnosis.candidates import Candidate, alike, groups_of, library, placement, rounds
 from edream.diagnosis.descent import Fit
 from edream.diagnosis.problem import Problem
 from edream.sim.objective import Objective
@@ -29,6 +29,7 @@ from edream.sim.simulation import Placement, SimulatedRobot, write_fields
 
 FINALISTS = 16
 WORTH_A_LOOK = 0.002  # share
+TOGETHER = 1.2  # times the share of the best single joint, from which several that are not tied are tried as one
 ENOUGH = 40.0  # s of motion that a score test needs
 SCANNED = 20.0  # s of motion that tells lengths of waves
 Unexplained = Callable[[Float[np.ndarray, "N R"]], Float[np.ndarray, "N"]]
@@ -68,7 +69,7 @@ def screen(problem: Problem, fit: Fit, done: Callable[[int], object] = lambda n:
         done(1)
     second = [
         again
-        for s in with_scan(problem, fit, finalists(first))
+        for s in with_scan(problem, fit, finalists(worthwhile(problem, first)))
         if (again := confirm(problem, fit, s, unexplained, total)) is not None
     ]
     done(1)
@@ -85,6 +86,16 @@ def thinned(fit: Fit, seconds: float) -> Fit:
     rows = np.isin(fit.objective.owner, kept)
     objective = replace(fit.objective, windows=[windows[int(i)] for i in kept], simulations=0)
     return replace(fit, objective=objective, residual=fit.residual[rows], jacobian=fit.jacobian[rows])
+
+
+def worthwhile(problem: Problem, scored: Sequence[Scored]) -> list[Scored]:
+    """All but the sets of joints that are not known to share hardware and explain hardly more together than one of them alone."""
+    loose = alike(problem)
+    alone: dict[str, float] = {}
+    for one in scored:
+        if len(one.candidate.targets) < 2:
+            alone[one.candidate.effect] = max(one.share, alone.get(one.candidate.effect, 0.0))
+    return [s for s in scored if s.candidate.targets not in loose or s.share > TOGETHER * alone.get(s.candidate.effect, 0.0)]
 
 
 def finalists(scored: Sequence[Scored]) -> list[Scored]:

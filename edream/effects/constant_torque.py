@@ -22,7 +22,7 @@ class ConstantTorque(Effect):
     name = "constant_torque"
     summary = "a constant torque"
     place = "joint"
-    confusable = ("gravity_tilt", "encoder_offset", "spring", "payload", "asymmetric_coulomb")
+    confusable = ("gravity_tilt", "encoder_offset", "sensor_bias", "spring", "payload", "asymmetric_coulomb")
     of_type = False
 
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:

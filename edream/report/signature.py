@@ -31,7 +31,8 @@ SHOWS = {
     "load_friction": "load", "directional_efficiency": "load", "servo_gain": "load", "compliance": "load", "dead_zone": "load",
     "integral_action": "load", "asymmetric_coulomb": "position", "position_friction": "position", "backlash": "position",
     "spring": "position", "hardening_spring": "position", "gravity_tilt": "position", "constant_torque": "position",
-    "encoder_offset": "position", "payload": "position", "gear_ratio": "position", "joint_coupling": "position",
+    "encoder_offset": "position", "sensor_bias": "position", "payload": "position", "gear_ratio": "position",
+    "joint_coupling": "position",
     "actuator_delay": "lag", "sensor_delay": "lag", "actuator_lag": "lag", "armature": "lag", "cogging": "spectrum",
     "gain_fade": "drift", "friction_fade": "drift",
 }  # fmt: skip

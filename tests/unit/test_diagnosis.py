@@ -11,16 +11,27 @@ from edream.core.effect import Effect
 from edream.core.episode import Episode
 from edream.core.errors import EdreamError
 from edream.core.parameters import Parameter
-from edream.diagnosis.candidates import Candidate, groups_of, placement
+from edream.diagnosis.candidates import Candidate, alike, groups_of, placement
 from edream.diagnosis.decide import comes_down_to, rivals, simplest, stands, told_apart
 from edream.diagnosis.descent import Fit, begin, descend
 from edream.diagnosis.left_out import left_out_errors
 from edream.diagnosis.next_motion import as_window, draw, room_of, separations, suggest
 from edream.diagnosis.nuisance import fit_nuisance, published
-from edream.diagnosis.problem import Problem, Settings, measurement_noise, nuisance_placements, prepare
+from edream.diagnosis.problem import Problem, Settings, credible, measurement_noise, nuisance_placements, prepare
 from edream.diagnosis.remainder import chosen_terms
 from edream.diagnosis.rough import rough_candidates, searched
-from edream.diagnosis.screen import ENOUGH, Scored, extend, finalists, fits_beside, screen, thinned, waves, with_quantities
+from edream.diagnosis.screen import (
+    ENOUGH,
+    Scored,
+    extend,
+    finalists,
+    fits_beside,
+    screen,
+    thinned,
+    waves,
+    with_quantities,
+    worthwhile,
+)
 from edream.diagnosis.trials import Trial
 from edream.diagnosis.verdict import Named, falls_short, is_strange, judge, sentence
 from edream.reality.recorder import Recorder, make_recordings
@@ -292,3 +303,55 @@ def test_play_in_a_gear_is_found_by_a_search_where_the_usual_numbers_have_made_u
     found = searched(looked_at, usual, candidate)
     assert found.rms < 0.8 * usual.rms
     assert found.space.mapping(found.values)["backlash.play[pan]"] == pytest.approx(0.016, rel=0.4)
+
+
+def test_joints_with_the_same_published_drive_are_tried_as_one(problem: Problem, fit: Fit) -> None:
+    both = ("pan", "tilt")
+    assert alike(problem) == [both]
+    assert alike(replace(problem, groups=(both,))) == []  # these are tied already
+    effects = ("actuator_delay", "encoder_offset")
+    joints = [Candidate(effect, (joint,)) for effect in effects for joint in both]
+    assert groups_of(problem, joints) == [Candidate("actuator_delay", both)]
+
+
+def test_joints_that_are_not_tied_are_tried_as_one_where_that_explains_more_than_one_of_them(problem: Problem) -> None:
+    tilt, pan, both = (Candidate("actuator_delay", targets) for targets in (("tilt",), ("pan",), ("pan", "tilt")))
+    little = [Scored(tilt, {}, 0.5), Scored(pan, {}, 0.05), Scored(both, {}, 0.55)]
+    assert worthwhile(problem, little) == little[:2]
+    much = [Scored(tilt, {}, 0.5), Scored(pan, {}, 0.3), Scored(both, {}, 0.8)]
+    assert worthwhile(problem, much) == much
+    assert worthwhile(replace(problem, groups=(("pan", "tilt"),)), little) == little
+
+
+def test_an_interval_that_ends_at_the_absent_bound_but_for_rounding_names_nothing(
+    problem: Problem, fit: Fit, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    limit = Candidate("torque_limit", ("tilt",))
+    extended, absent = extend(fit, [placement(problem, limit)])
+    unit = extended.simulated.space.to_unit(absent)
+    names = extended.simulated.space.names
+    unit[names.index("torque_limit.torque[tilt]")] = 0.9  # away from the bound, but nobody knows where
+    high = extended.simulated.space.parameters[names.index("torque_limit.torque[tilt]")].high
+    found = begin(extended, unit)
+    for top, is_there in ((high * (1.0 - 1e-12), False), (0.95 * high, True)):
+        intervals = dict.fromkeys(names, (0.0, 1.0)) | {"torque_limit.torque[tilt]": (0.1 * high, top)}
+        monkeypatch.setattr(Fit, "intervals", lambda self, known=intervals: known)
+        assert stands(problem, limit, found) == is_there
+
+
+def test_numbers_far_from_the_published_ones_are_not_credible(problem: Problem, fit: Fit) -> None:
+    usual = fit.space.mapping(fit.values)
+    assert credible(problem, usual)
+    assert not credible(problem, usual | {"servo_gain.kp[tilt]": 3.0 * usual["servo_gain.kp[tilt]"]})
+
+
+def test_a_bias_of_the_measurements_alone_is_the_plain_simulation_counted_from_elsewhere(problem: Problem) -> None:
+    window, bias = problem.fitted[0], 0.07
+    plain = rollout(SimulatedRobot(problem.robot, ()), np.zeros((1, 0)), [window])[0][0]
+    place = placement(problem, Candidate("sensor_bias", ("tilt",)))
+    tilt = window.episode.joints.index("tilt")
+    shifted = window.episode.position + bias * (np.arange(2) == tilt)
+    moved = replace(window, episode=replace(window.episode, position=shifted))
+    counted = rollout(SimulatedRobot(problem.robot, (place,)), np.array([[bias]]), [moved])[0][0]
+    np.testing.assert_allclose(counted[:, tilt] - bias, plain[:, tilt], atol=1e-6)
+    assert np.abs(counted[:, tilt] - plain[:, tilt]).min() > 0.06
