@@ -14,7 +14,7 @@ from edream.diagnosis.left_out import bootstrap, is_brief, left_out_errors
 from edream.diagnosis.problem import Problem
 from edream.diagnosis.rough import rough_candidates, searched
 from edream.diagnosis.screen import Scored, extend, screen
-from edream.diagnosis.trials import SHAPES, Trial, arrived, beside, judged, refit, try_best
+from edream.diagnosis.trials import HALF, SHAPES, Trial, arrived, beside, judged, refit, try_best, with_bold
 from edream.sim.least_squares import worth
 
 MATERIAL = 0.05  # of the gap at first, in root-mean-square error, that a further effect must close
@@ -24,7 +24,6 @@ NARROW = 0.3  # of a quantity's range: an interval that says something
 AS_WELL = 0.95  # of the share that an effect closes: its special case closes as much, and needs less to be believed
 DISTINCT = 0.5  # of the floor squared, or of the error where that is larger
 FEWEST = 3  # motions that a difference may rest on
-HALF = 0.5  # of the gap: a candidate that closes less of a real one may be a stand-in
 BOUND = 1e-3  # of the unit box: nearer, a number sits at its bound
 ROUNDING = 1e-9  # a bound of a box that went through its logarithm
 VISIBLE = 0.1  # of the floor: with nothing hidden, less is left over it
@@ -58,6 +57,7 @@ def forward(problem: Problem, fit: Fit, done: Callable[[str, int], object] = lam
             break
         scored = screen(problem, fit, lambda n: done("screening", n))
         trials = try_best(problem, fit, errors, scored, lambda n: done("refitting", n))
+        trials = with_bold(problem, fit, errors, trials, lambda n: done("searching", n))
         trials = with_rough(problem, fit, errors, trials, lambda n: done("searching", n))
         trials = with_confusable(problem, fit, errors, scored, trials, lambda n: done("refitting", n))
         trials = settled(problem, errors, trials)

@@ -10,8 +10,9 @@ from edream.sim.rollout import rollout_each
 
 FOLDS = 5
 DRAWS = 4000
-SMALL, FAR = 10, 20.0  # at most so many numbers and a gap of so many floors: every refit starts from several places
+FAR = 20.0  # floors of error: so large a gap that refits start from several places
 CLEAR = 4.0  # floors: enough for that where fitted numbers are not credible, for they have made up for what is missing
+SMALL = 10  # numbers at most, with which that costs little
 BRIEF = 120.0  # s of motion, up to which trying is cheap
 LENGTHS = (1.0, 0.5, 0.2, 0.0)  # of a step
 ASTRAY = 1.5  # times the fit's own error: a motion left out that is so much worse may say more about the step than about the model
@@ -81,12 +82,15 @@ def bootstrap(gain: Float[np.ndarray, "M"], seed: int) -> tuple[float, float]:
 
 
 def far_off(problem: Problem, fit: Fit) -> bool:
-    """Whether the gap is so large that a linear test points anywhere, and the model so small that trying is cheap."""
-    if len(fit.unit) > SMALL or not is_brief(fit):
-        return False
-    return fit.rms > FAR * problem.floor or (
-        fit.rms > CLEAR * problem.floor and not credible(problem, fit.space.mapping(fit.values))
-    )
+    """Whether the gap is so large, or the fitted numbers so strange beside a clear one, that a linear test points anywhere."""
+    if fit.rms > FAR * problem.floor:
+        return True
+    return fit.rms > CLEAR * problem.floor and not credible(problem, fit.space.mapping(fit.values))
+
+
+def is_small(fit: Fit) -> bool:
+    """Whether a model has so few numbers, and its motions are so short, that trying is cheap."""
+    return len(fit.unit) <= SMALL and is_brief(fit)
 
 
 def is_brief(fit: Fit) -> bool:

@@ -8,9 +8,18 @@ from jaxtyping import Float
 
 from edream.diagnosis.candidates import Candidate, library, placement, rounds
 from edream.diagnosis.descent import Fit, begin, descend, stretches
-from edream.diagnosis.left_out import bootstrap, far_off, left_out_errors
+from edream.diagnosis.left_out import BRIEF, SMALL, bootstrap, far_off, is_small, left_out_errors
 from edream.diagnosis.problem import Problem, nuisance_placements
-from edream.diagnosis.screen import Scored, acts_already, extend, fits_beside, scaled_probe, unexplained_by, with_quantities
+from edream.diagnosis.screen import (
+    Scored,
+    acts_already,
+    extend,
+    fits_beside,
+    scaled_probe,
+    thinned,
+    unexplained_by,
+    with_quantities,
+)
 from edream.sim.differences import STEP
 from edream.sim.least_squares import worth
 from edream.sim.objective import Objective, rms
@@ -18,6 +27,7 @@ from edream.sim.simulation import Placement, SimulatedRobot
 
 REFITTED, GROUPS, FINISHED = 8, 4, 6
 HOPELESS = 0.4  # of the best candidate's gain after two steps: those below are not refitted to the end
+HALF = 0.5  # of the gap: a candidate that closes less of a real one may be a stand-in
 SERIOUS_SHARE = 0.01
 STRONG = 5.0  # probes
 SHAPED = 1.5  # floors of error from which a winner is tried in its other shapes
@@ -53,8 +63,9 @@ def try_best(
     done: Callable[[int], object] = lambda n: None,
 ) -> list[Trial]:
     """Refit the candidates with the largest shares; best on left-out motions first."""
-    if far_off(problem, fit):
-        return try_boldly(problem, fit, errors, scored, done)
+    if far_off(problem, fit) and is_small(fit):
+        places = [*{s.candidate.effect: s for s in reversed(scored)}.values(), *overlooked(problem, fit, scored)]
+        return try_boldly(problem, fit, errors, places, done)
     serious = [s for s in scored if s.share >= SERIOUS_SHARE]
     # one set of numbers for a hardware group rests on all its joints, which the test of single joints undervalues
     groups = [s for s in serious if len(s.candidate.targets) > 1][:GROUPS]
@@ -72,12 +83,13 @@ def try_best(
 
 
 def try_boldly(
-    problem: Problem, fit: Fit, errors: Float[np.ndarray, "M"], scored: Sequence[Scored], done: Callable[[int], object]
+    problem: Problem, fit: Fit, errors: Float[np.ndarray, "M"], places: Sequence[Scored], done: Callable[[int], object]
 ) -> list[Trial]:
-    """Every effect at its best place, from the best of several starts, on short stretches first; the best ones all the way."""
-    brief = begin(replace(fit.objective, windows=stretches(fit), simulations=0), fit.unit)
+    """Candidates, each from the best of several starts, on short stretches first; the best ones all the way."""
+    few = thinned(fit, BRIEF * min(1.0, (SMALL / len(fit.unit)) ** 2))  # longer to simulate, and more often
+    brief = begin(replace(few.objective, windows=stretches(few), simulations=0), fit.unit)
     rough = []
-    for one in [*{s.candidate.effect: s for s in reversed(scored)}.values(), *overlooked(problem, fit, scored)]:
+    for one in places:
         place = placement(problem, one.candidate)
         extended, absent = extend(brief, [place])
         starts = bold_starts(problem, place, one, extended, absent)
@@ -86,12 +98,30 @@ def try_boldly(
         rough.append((near, extend(fit, [place])[0], one))
         done(1)
     rough.sort(key=lambda found: found[0].rms)
+    gained = [1.0 - (near.rms / brief.rms) ** 2 for near, *_ in rough]
     trials = []
-    for begun, extended, one in rough[:REFITTED]:
+    for (begun, extended, one), gain in zip(rough[:REFITTED], gained, strict=False):
+        if gain < HOPELESS * gained[0] and len(trials) >= GROUPS:
+            break
         near = descend(begun, None, iterations=6)
         trials.append(judged(problem, descend(begin(extended, near.unit), None, iterations=4), errors, one))
         done(1)
     return sorted(trials, key=lambda t: -t.closed)
+
+
+def with_bold(
+    problem: Problem,
+    fit: Fit,
+    errors: Float[np.ndarray, "M"],
+    trials: Sequence[Trial],
+    done: Callable[[int], object] = lambda n: None,
+) -> list[Trial]:
+    """The trials; where none closes half of a gap from far away, also every effect on the joint that is off most."""
+    if is_small(fit) or not far_off(problem, fit) or any(t.sure and t.closed >= HALF for t in trials):
+        return list(trials)
+    more = try_boldly(problem, fit, errors, overlooked(problem, fit, []), done)
+    better = {t.candidate: t for t in sorted([*trials, *more], key=lambda t: t.closed)}
+    return sorted(better.values(), key=lambda t: -t.closed)
 
 
 def overlooked(problem: Problem, fit: Fit, scored: Sequence[Scored]) -> list[Scored]:

@@ -116,7 +116,8 @@ def diagnose(problem: Problem, done: Callable[[str, int], object] = lambda text,
     remainder = unexplained(problem, before, fit, rounds[0].errors, left, trials)
     done("remainder", 1)
     gap = max(rms(np.sqrt(rounds[0].errors)), rms(ladder[1][1])) / problem.floor
-    verdict = judge(effects, remainder, gap, bool(trials) and falls_short(problem, rounds[0].errors, left))
+    short = falls_short(problem, rounds[0].errors, left) if trials else gap > REAL_GAP
+    verdict = judge(effects, remainder, short)
     if remainder is not None:
         fit = remainder.fit
         effects = [one for one in effects if remainder.beside_names]
@@ -276,19 +277,18 @@ def falls_short(problem: Problem, first: Float[np.ndarray, "M"], left: Float[np.
     return end > REAL_GAP**2 * floor and start - end < ENOUGH * (start - floor)
 
 
-def judge(effects: Sequence[Named], remainder: Remainder | None, gap: float, short: bool) -> Verdict:
+def judge(effects: Sequence[Named], remainder: Remainder | None, short: bool) -> Verdict:
     """The verdict that the evidence allows.
 
     Args:
         effects: what was found.
         remainder: a formula for what has no name, if one holds.
-        gap: the error on motions that were not fitted, in floors.
-        short: whether the effects leave most of the gap open.
+        short: whether a real gap is left open, most of it or, where strange numbers are all that was found, any.
     """
     if remainder is not None or short:
         return "unnamed"
     if not effects:
-        return "unnamed" if gap > REAL_GAP else "none"
+        return "none"
     return "cannot_tell" if any(one.confusable_with for one in effects) else "named"
 
 

@@ -212,8 +212,8 @@ def test_a_score_test_on_every_other_motion_keeps_their_rows(fit: Fit) -> None:
 
 
 def test_a_real_gap_that_nothing_explains_is_not_called_agreement() -> None:
-    assert judge([], None, 1.2, False) == "none"
-    assert judge([], None, 5.0, False) == "unnamed"
+    assert judge([], None, False) == "none"
+    assert judge([], None, True) == "unnamed"
     said = sentence("unnamed", [], None, ("a",))
     assert "no effect in the library explains" in said and "agrees" not in said
 
@@ -248,7 +248,7 @@ def test_names_that_close_little_of_a_real_gap_do_not_pass_for_the_answer(
     first, left = (np.full(4, (floors * problem.floor) ** 2) for floors in (before, after))
     assert falls_short(problem, first, left) is short
     named = Named("spring", "a spring", ("tilt",), {}, {}, {}, 0.1, None, ())
-    assert judge([named], None, before, short) == ("unnamed" if short else "named")
+    assert judge([named], None, short) == ("unnamed" if short else "named")
     assert "a spring on tilt, and something else" in sentence("unnamed", [named], None, ("pan", "tilt"))
 
 
