@@ -114,3 +114,8 @@ class ParameterSpace:
         low = np.array([math.log(p.low) if p.scale == "log" else p.low for p in self.parameters])
         high = np.array([math.log(p.high) if p.scale == "log" else p.high for p in self.parameters])
         return low, high, is_log
+
+
+def targets_in(name: str) -> frozenset[str]:
+    """The joints (or bodies) in a parameter's full name, `effect.quantity[a+b]` or, of a pair, `effect.quantity[a<-b]`."""
+    return frozenset(name.partition("[")[2].rstrip("]").replace("<-", "+").split("+"))

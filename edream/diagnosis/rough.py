@@ -8,6 +8,7 @@ from dataclasses import replace
 import cma
 import numpy as np
 
+from edream.core.parameters import targets_in
 from edream.diagnosis.candidates import Candidate, can_act, library, placement
 from edream.diagnosis.descent import Fit, begin, descend
 from edream.diagnosis.problem import Problem
@@ -38,7 +39,7 @@ def searched(problem: Problem, fit: Fit, candidate: Candidate) -> Fit | None:
     place = placement(problem, candidate)
     extended, absent = extend(fit, [place])
     space, few = extended.simulated.space, brief(extended)
-    own = np.array([candidate.targets[0] in name.partition("[")[2].rstrip("]").split("+") for name in space.names])
+    own = np.array([candidate.targets[0] in targets_in(name) for name in space.names])
     probes = place.effect.probes(problem.robot.model, candidate.targets)
     sets = np.array([with_quantities(extended, absent, [place], [probe]) for probe in probes])
     usual = own & np.array([name.partition(".")[0] in problem.settings.nuisance for name in space.names])

@@ -10,7 +10,7 @@ from edream.catalog import load
 from edream.core.effect import Effect
 from edream.core.episode import Episode
 from edream.core.errors import EdreamError
-from edream.core.parameters import Parameter
+from edream.core.parameters import Parameter, targets_in
 from edream.diagnosis.candidates import Candidate, alike, groups_of, placement
 from edream.diagnosis.decide import comes_down_to, rivals, simplest, stands, told_apart
 from edream.diagnosis.descent import Fit, begin, descend
@@ -355,3 +355,20 @@ def test_a_bias_of_the_measurements_alone_is_the_plain_simulation_counted_from_e
     counted = rollout(SimulatedRobot(problem.robot, (place,)), np.array([[bias]]), [moved])[0][0]
     np.testing.assert_allclose(counted[:, tilt] - bias, plain[:, tilt], atol=1e-6)
     assert np.abs(counted[:, tilt] - plain[:, tilt]).min() > 0.06
+
+
+def test_a_link_with_the_name_of_a_joint_is_judged_on_all_joints_like_any_other(problem: Problem, fit: Fit) -> None:
+    shares = []
+    for name in ("head", "tilt"):
+        robot = replace(problem.robot, mjcf=problem.robot.mjcf.replace('<body name="head"', f'<body name="{name}"'))
+        named = replace(problem, robot=robot, settings=replace(problem.settings, effects=("payload",)))
+        simulated = SimulatedRobot(robot, nuisance_placements(named))
+        bent = simulated.space.start() * np.where(np.array(simulated.space.names) == "servo_gain.kp[tilt]", 0.8, 1.0)
+        found = screen(named, begin(replace(published(named), simulated=simulated), simulated.space.to_unit(bent)))
+        shares.append({one.candidate.targets: one.share for one in found}.get((name,)))
+    assert shares[0] is not None and shares[0] == shares[1]
+
+
+def test_the_joints_of_a_number_are_told_by_whole_names() -> None:
+    assert targets_in("servo_gain.kp[joint1+joint2]") == {"joint1", "joint2"}
+    assert targets_in("joint_coupling.stiffness[joint10<-joint2]") == {"joint10", "joint2"}
