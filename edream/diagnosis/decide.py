@@ -63,12 +63,27 @@ def forward(problem: Problem, fit: Fit, done: Callable[[str, int], object] = lam
         trials = settled(problem, errors, trials)
         trials = restarted(problem, errors, trials)
         trials = simplified(problem, fit, errors, trials)
-        taken = simplest(problem, [t for t in trials if passes(problem, t) and matters(problem, first, errors, t)])
+        passing = [t for t in trials if passes(problem, t) and matters(problem, first, errors, t)]
+        taken, ended = first_that_stands(problem, fit, passing)
         rounds.append(Round(fit, errors, scored, trials, taken))
         if taken is None:
             break
-        fit = polish(arrived(problem, fit, taken))
+        fit = ended
     return fit, rounds
+
+
+def first_that_stands(problem: Problem, fit: Fit, passing: Sequence[Trial]) -> tuple[Trial | None, Fit]:
+    """The best of the candidates that pass and still do at the end of their search, where intervals are true; and the fit there.
+
+    Before, one may seem to be known that lets a number beside its own (where the servo's damping acts) close the gap.
+    """
+    left = list(passing)
+    while (taken := simplest(problem, left)) is not None:
+        ended = polish(arrived(problem, fit, taken))
+        if stands(problem, taken.candidate, ended):
+            return taken, ended
+        left.remove(taken)
+    return None, fit
 
 
 def matters(problem: Problem, first: Float[np.ndarray, "M"], errors: Float[np.ndarray, "M"], trial: Trial) -> bool:
