@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from edream.diagnosis.candidates import Candidate, library, placement, rounds
 from edream.diagnosis.descent import Fit, begin, descend, stretches
-from edream.diagnosis.left_out import BRIEF, SMALL, bootstrap, far_off, is_small, left_out_errors
+from edream.diagnosis.left_out import bootstrap, far_off, is_small, left_out_errors
 from edream.diagnosis.problem import Problem, nuisance_placements
 from edream.diagnosis.screen import (
     Scored,
@@ -27,6 +27,7 @@ from edream.sim.simulation import Placement, SimulatedRobot
 
 REFITTED, GROUPS, FINISHED = 8, 4, 6
 HOPELESS = 0.4  # of the best candidate's gain after two steps: those below are not refitted to the end
+FEW = 25.0  # s of motion on which larger models are tried boldly
 HALF = 0.5  # of the gap: a candidate that closes less of a real one may be a stand-in
 SERIOUS_SHARE = 0.01
 STRONG = 5.0  # probes
@@ -86,7 +87,7 @@ def try_boldly(
     problem: Problem, fit: Fit, errors: Float[np.ndarray, "M"], places: Sequence[Scored], done: Callable[[int], object]
 ) -> list[Trial]:
     """Candidates, each from the best of several starts, on short stretches first; the best ones all the way."""
-    few = thinned(fit, BRIEF * min(1.0, (SMALL / len(fit.unit)) ** 2))  # longer to simulate, and more often
+    few = fit if is_small(fit) else thinned(fit, FEW)
     brief = begin(replace(few.objective, windows=stretches(few), simulations=0), fit.unit)
     rough = []
     for one in places:
