@@ -14,7 +14,7 @@ from edream.diagnosis.left_out import bootstrap, is_brief, left_out_errors
 from edream.diagnosis.problem import Problem
 from edream.diagnosis.rough import rough_candidates, searched
 from edream.diagnosis.screen import Scored, extend, screen
-from edream.diagnosis.trials import HALF, SHAPES, Trial, arrived, beside, judged, refit, try_best, with_bold
+from edream.diagnosis.trials import HALF, SHAPES, Trial, arrived, as_published, beside, judged, refit, try_best, with_bold
 from edream.sim.least_squares import worth
 
 MATERIAL = 0.05  # of the gap at first, in root-mean-square error, that a further effect must close
@@ -232,14 +232,22 @@ def backward(problem: Problem, fit: Fit, named: Sequence[Candidate]) -> tuple[Fi
     kept = list(named)
     for candidate in list(named)[:-1] if len(named) > 1 else []:
         errors = left_out_errors(problem, fit)
-        smaller = without(fit, candidate)
-        refitted = descend(smaller, None, 3)
+        refitted = refitted_without(problem, fit, candidate)
         gain = left_out_errors(problem, refitted) - errors
         low, _ = bootstrap(gain, problem.settings.seed)
         gap = max(float((errors + gain).mean()) - problem.floor**2, 1e-18)
         if low <= 0.0 or float(gain.mean()) / gap < problem.settings.gain:
             fit, kept = refitted, [c for c in kept if c != candidate]
     return fit, kept
+
+
+def refitted_without(problem: Problem, fit: Fit, candidate: Candidate) -> Fit:
+    """The fit without one effect, from where it is and, for its numbers may have made up for something, from published ones."""
+    smaller = without(fit, candidate)
+    space = smaller.space
+    plain = as_published(problem, space.names, smaller.values, candidate.targets)
+    again = begin(smaller.objective, np.clip(space.to_unit(plain), 0.0, 1.0))
+    return min((descend(smaller, None, 3), descend(again, None, 6)), key=lambda one: one.rms)
 
 
 def without(fit: Fit, candidate: Candidate) -> Fit:

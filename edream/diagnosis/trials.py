@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
+from edream.core.parameters import targets_in
 from edream.diagnosis.candidates import Candidate, library, placement, rounds
 from edream.diagnosis.descent import Fit, begin, descend, stretches
 from edream.diagnosis.left_out import bootstrap, far_off, is_small, left_out_errors
@@ -145,11 +146,26 @@ def bold_starts(
     starts = [with_quantities(extended, absent, [place], [one]) for one in quantities]
     names = extended.simulated.space.names
     friction = np.array([name.startswith("coulomb.") for name in names])
-    published = SimulatedRobot(problem.robot, nuisance_placements(problem)).space
-    told = published.mapping(published.start())
-    believed = np.array([told.get(name, value) for name, value in zip(names, absent, strict=True)])
-    plain = [with_quantities(extended, believed, [place], [one]) for one in probes_of(problem, place)]
+    plain = beside_published(problem, place, extended, absent)
     return [*starts, *(np.where(friction, 0.2 * start, start) for start in starts if friction.any()), *plain]
+
+
+def beside_published(
+    problem: Problem, place: Placement, extended: Objective, absent: Float[np.ndarray, "P"]
+) -> list[Float[np.ndarray, "P"]]:
+    """Every probe of a candidate, its joints' usual numbers as published; all joints', where it acts on none."""
+    believed = as_published(problem, extended.simulated.space.names, absent, place.targets)
+    return [with_quantities(extended, believed, [place], [one]) for one in probes_of(problem, place)]
+
+
+def as_published(
+    problem: Problem, names: Sequence[str], values: Float[np.ndarray, "P"], targets: Sequence[str]
+) -> Float[np.ndarray, "P"]:
+    """Parameter values with the usual numbers of some joints as the model publishes them; of all, where none of them is a joint."""
+    space = SimulatedRobot(problem.robot, nuisance_placements(problem)).space
+    joints = {end for target in targets for end in target.split("<-")} & set(problem.joints) or set(problem.joints)
+    told = {name: value for name, value in space.mapping(space.start()).items() if not joints.isdisjoint(targets_in(name))}
+    return np.array([told.get(name, value) for name, value in zip(names, values, strict=True)])
 
 
 def refit(problem: Problem, fit: Fit, errors: Float[np.ndarray, "M"], scored: Scored) -> Trial:
@@ -158,11 +174,20 @@ def refit(problem: Problem, fit: Fit, errors: Float[np.ndarray, "M"], scored: Sc
 
 
 def refitted(problem: Problem, fit: Fit, scored: Scored, iterations: int) -> Fit:
-    """The model with one candidate, some steps from where the score test puts it, in whichever of its shapes promises most."""
+    """The model with one candidate, some steps from where the score test puts it, in whichever of its shapes promises most.
+
+    From far off it begins beside the published numbers, where that is nearer than beside those that were fitted without it.
+    """
     place = placement(problem, scored.candidate)
     extended, absent = extend(fit, [place])
     starts = [with_quantities(extended, absent, [place], [one]) for one in shapes(problem, place, scored.start)]
     best = int(np.argmin(unexplained_by(fit)(extended.residuals(np.array(starts))))) if len(starts) > 1 else 0
+    if far_off(problem, fit):
+        plain = beside_published(problem, place, extended, absent)
+        away = [rms(r) for r in extended.residuals(np.array([starts[best], *plain]))]
+        if min(away) < away[0]:
+            near = extended.simulated.space.to_unit(plain[int(np.argmin(away)) - 1])
+            return descend(begin(extended, np.clip(near, 0.0, 1.0)), None, iterations)
     return descend(with_column(fit, extended, starts[best]), fresh_columns(fit, extended), iterations)
 
 

@@ -12,7 +12,7 @@ from edream.core.episode import Episode
 from edream.core.errors import EdreamError
 from edream.core.parameters import Parameter, targets_in
 from edream.diagnosis.candidates import Candidate, alike, groups_of, placement
-from edream.diagnosis.decide import comes_down_to, rivals, simplest, stands, told_apart
+from edream.diagnosis.decide import comes_down_to, refitted_without, rivals, simplest, stands, told_apart
 from edream.diagnosis.descent import Fit, begin, descend
 from edream.diagnosis.left_out import left_out_errors
 from edream.diagnosis.next_motion import as_window, draw, room_of, separations, suggest
@@ -32,7 +32,7 @@ from edream.diagnosis.screen import (
     with_quantities,
     worthwhile,
 )
-from edream.diagnosis.trials import Trial
+from edream.diagnosis.trials import Trial, as_published
 from edream.diagnosis.verdict import Named, falls_short, is_strange, judge, sentence
 from edream.reality.recorder import Recorder, make_recordings
 from edream.reality.truth import draw as draw_truth
@@ -372,3 +372,25 @@ def test_a_link_with_the_name_of_a_joint_is_judged_on_all_joints_like_any_other(
 def test_the_joints_of_a_number_are_told_by_whole_names() -> None:
     assert targets_in("servo_gain.kp[joint1+joint2]") == {"joint1", "joint2"}
     assert targets_in("joint_coupling.stiffness[joint10<-joint2]") == {"joint10", "joint2"}
+
+
+def test_without_an_effect_a_search_also_begins_at_the_published_numbers_of_its_joints(problem: Problem) -> None:
+    robot, slew, give = problem.robot, Candidate("slew_limit", ("tilt",)), Candidate("compliance", ("tilt",))
+    placements = [placement(problem, one) for one in (slew, give)]
+    hidden = SimulatedRobot(robot, (*nuisance_placements(problem), placements[0]))
+    numbers = hidden.space.mapping(hidden.space.start()) | {"slew_limit.speed[tilt]": 0.5}
+    windows = (*problem.fitted, *problem.proof)
+    moved = rollout(hidden, np.array([hidden.space.vector(numbers)]), windows)
+    made = [replace(w.episode, position=m[0]) for w, m in zip(windows, moved, strict=True)]
+    slow = prepare(robot, made, Settings())
+    both = SimulatedRobot(robot, (*nuisance_placements(slow), *placements))
+    bent = both.space.mapping(both.space.start()) | {"slew_limit.speed[tilt]": 0.5, "compliance.give[tilt]": 0.002}
+    bent |= {name: 5.0 * bent[name] for name in ("servo_gain.kp[tilt]", "viscous.damping[tilt]", "armature.inertia[tilt]")}
+    values = both.space.vector(bent)
+    published_again = as_published(slow, both.space.names, values, ("tilt",))
+    changed = {name for name, a, b in zip(both.space.names, values, published_again, strict=True) if a != b}
+    assert changed == {"servo_gain.kp[tilt]", "viscous.damping[tilt]", "armature.inertia[tilt]"}
+    start = begin(replace(published(slow), simulated=both), both.space.to_unit(values))
+    found = refitted_without(slow, start, give)
+    assert all(p.effect.name != "compliance" for p in found.objective.simulated.placements)
+    assert found.rms < slow.settings.model_floor < 5e-3 < start.rms
