@@ -78,6 +78,13 @@ def can_act(problem: Problem, effect: Effect, joint: str) -> bool:
     return not effect.of_position_servo or holds_position(problem.robot.model, joint)
 
 
+def acted_on(candidate: Candidate) -> frozenset[str]:
+    """The joints that a candidate acts on, the first of a pair; none for links, objects and the world, whatever they are called."""
+    if load("effects", candidate.effect, Effect).place not in ("joint", "pair"):
+        return frozenset()
+    return frozenset(target.split("<-")[0] for target in candidate.targets)
+
+
 def moving_bodies(problem: Problem) -> list[str]:
     """The link that each recorded joint moves, by name."""
     model = problem.robot.model

@@ -18,11 +18,10 @@ import numpy as np
 from jaxtyping import Float
 from mujoco import batch
 
-from edream.catalog import load
 from edream.core.effect import Effect
 from edream.core.errors import EdreamError
 from edream.core.parameters import Parameter, targets_in
-from edream.diagnosis.candidates import Candidate, alike, groups_of, library, placement, rounds
+from edream.diagnosis.candidates import Candidate, acted_on, alike, groups_of, library, placement, rounds
 from edream.diagnosis.descent import Fit
 from edream.diagnosis.problem import Problem
 from edream.sim.objective import Objective
@@ -241,8 +240,7 @@ def waves(
 
 def _own_rows(problem: Problem, fit: Fit, candidate: Candidate) -> tuple[np.ndarray, np.ndarray]:
     """Residual rows and nuisance columns that concern the joints that a candidate acts on; all, where it acts on none."""
-    on_joints = load("effects", candidate.effect, Effect).place in ("joint", "pair")  # a link may have the name of a joint
-    targets = {target.split("<-")[0] for target in candidate.targets} if on_joints else set()
+    targets = acted_on(candidate)
     counted = [number for number, joint in enumerate(problem.joints) if joint in targets]
     every_column = np.arange(len(fit.unit))
     if not counted:

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from edream.core.parameters import targets_in
-from edream.diagnosis.candidates import Candidate, library, placement, rounds
+from edream.diagnosis.candidates import Candidate, acted_on, library, placement, rounds
 from edream.diagnosis.descent import Fit, begin, descend, stretches
 from edream.diagnosis.left_out import bootstrap, far_off, is_small, left_out_errors
 from edream.diagnosis.problem import Problem, nuisance_placements
@@ -154,16 +154,16 @@ def beside_published(
     problem: Problem, place: Placement, extended: Objective, absent: Float[np.ndarray, "P"]
 ) -> list[Float[np.ndarray, "P"]]:
     """Every probe of a candidate, its joints' usual numbers as published; all joints', where it acts on none."""
-    believed = as_published(problem, extended.simulated.space.names, absent, place.targets)
+    believed = as_published(problem, extended.simulated.space.names, absent, Candidate(place.effect.name, tuple(place.targets)))
     return [with_quantities(extended, believed, [place], [one]) for one in probes_of(problem, place)]
 
 
 def as_published(
-    problem: Problem, names: Sequence[str], values: Float[np.ndarray, "P"], targets: Sequence[str]
+    problem: Problem, names: Sequence[str], values: Float[np.ndarray, "P"], candidate: Candidate
 ) -> Float[np.ndarray, "P"]:
-    """Parameter values with the usual numbers of some joints as the model publishes them; of all, where none of them is a joint."""
+    """Parameter values, the usual numbers of a candidate's joints as the model publishes them; of all, where it acts on none."""
     space = SimulatedRobot(problem.robot, nuisance_placements(problem)).space
-    joints = {end for target in targets for end in target.split("<-")} & set(problem.joints) or set(problem.joints)
+    joints = acted_on(candidate) or frozenset(problem.joints)
     told = {name: value for name, value in space.mapping(space.start()).items() if not joints.isdisjoint(targets_in(name))}
     return np.array([told.get(name, value) for name, value in zip(names, values, strict=True)])
 
