@@ -57,7 +57,8 @@ def forward(problem: Problem, fit: Fit, done: Callable[[str, int], object] = lam
             break
         scored = screen(problem, fit, lambda n: done("screening", n))
         trials = try_best(problem, fit, errors, scored, lambda n: done("refitting", n))
-        trials = with_bold(problem, fit, errors, trials, lambda n: done("searching", n))
+        if not rounds:  # later ones begin at numbers that make up for less
+            trials = with_bold(problem, fit, errors, trials, lambda n: done("searching", n))
         trials = with_rough(problem, fit, errors, trials, lambda n: done("searching", n))
         trials = with_confusable(problem, fit, errors, scored, trials, lambda n: done("refitting", n))
         trials = settled(problem, errors, trials)

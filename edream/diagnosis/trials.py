@@ -88,7 +88,8 @@ def try_boldly(
     problem: Problem, fit: Fit, errors: Float[np.ndarray, "M"], places: Sequence[Scored], done: Callable[[int], object]
 ) -> list[Trial]:
     """Candidates, each from the best of several starts, on short stretches first; the best ones all the way."""
-    few = fit if is_small(fit) else thinned(fit, FEW)
+    small = is_small(fit)
+    few = fit if small else thinned(fit, FEW)
     brief = begin(replace(few.objective, windows=stretches(few), simulations=0), fit.unit)
     rough = []
     for one in places:
@@ -101,9 +102,9 @@ def try_boldly(
         done(1)
     rough.sort(key=lambda found: found[0].rms)
     gained = [1.0 - (near.rms / brief.rms) ** 2 for near, *_ in rough]
-    trials = []
+    trials, least = [], GROUPS if small else 1
     for (begun, extended, one), gain in zip(rough[:REFITTED], gained, strict=False):
-        if gain < HOPELESS * gained[0] and len(trials) >= GROUPS:
+        if gain < HOPELESS * gained[0] and len(trials) >= least:
             break
         near = descend(begun, None, iterations=6)
         trials.append(judged(problem, descend(begin(extended, near.unit), None, iterations=4), errors, one))
