@@ -128,7 +128,7 @@ def with_bold(
 
 
 def overlooked(problem: Problem, fit: Fit, scored: Sequence[Scored]) -> list[Scored]:
-    """The effects that help nowhere beside the fitted numbers, on the joint that is off most: those may be far from true."""
+    """The effects that are not in `scored`, on the joint that is off most: fitted numbers that are far from true may hide them."""
     worst = problem.joints[int(np.argmax((fit.residual.reshape(-1, len(problem.joints)) ** 2).mean(axis=0)))]
     known = {s.candidate.effect for s in scored}
     there = [c for one in rounds(problem, library(problem)) for c in one if c.targets == (worst,) and c.effect not in known]

@@ -1,0 +1,53 @@
+"""Which refitted candidates go on, on made-up trials."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from edream.core.parameters import targets_in
+from edream.diagnosis import decide, trials
+from edream.diagnosis.candidates import Candidate
+from edream.diagnosis.trials import Trial, with_bold
+
+
+def _trial(effect: str, closed: float) -> Trial:
+    return Trial(Candidate(effect, ("tilt",)), 0.0, SimpleNamespace(name=effect), np.zeros(4), closed, True)
+
+
+@pytest.mark.parametrize(
+    ("small", "far", "closed", "bold"),
+    [(False, True, 0.2, True), (False, True, 0.6, False), (True, True, 0.2, False), (False, False, 0.2, False)],
+)
+def test_larger_models_are_tried_boldly_from_far_off_where_nothing_closes_half(
+    monkeypatch: pytest.MonkeyPatch, small: bool, far: bool, closed: float, bold: bool
+) -> None:
+    found = [_trial("torque_limit", 0.9), _trial("spring", 0.1)]
+    monkeypatch.setattr(trials, "is_small", lambda fit: small)
+    monkeypatch.setattr(trials, "far_off", lambda problem, fit: far)
+    monkeypatch.setattr(trials, "overlooked", lambda problem, fit, scored: [])
+    monkeypatch.setattr(trials, "try_boldly", lambda *told: found)
+    before = [_trial("spring", closed)]
+    after = with_bold(None, None, np.zeros(4), before)
+    if bold:
+        assert [(t.candidate.effect, t.closed) for t in after] == [
+            ("torque_limit", 0.9),
+            ("spring", 0.2),
+        ]  # the better of the two springs
+    else:
+        assert after == before
+
+
+def test_what_does_not_stand_at_the_end_of_its_search_gives_way_to_the_next(monkeypatch: pytest.MonkeyPatch) -> None:
+    limit, spring = _trial("torque_speed_limit", 0.9), _trial("spring", 0.7)
+    monkeypatch.setattr(decide, "simplest", lambda problem, left: left[0] if left else None)
+    monkeypatch.setattr(decide, "arrived", lambda problem, fit, taken: taken.candidate.effect)
+    monkeypatch.setattr(decide, "polish", lambda fit: fit)
+    monkeypatch.setattr(decide, "stands", lambda problem, candidate, ended: candidate.effect == "spring")
+    assert decide.first_that_stands(None, "before", [limit, spring]) == (spring, "spring")
+    assert decide.first_that_stands(None, "before", [limit]) == (None, "before")
+
+
+def test_the_joints_of_a_number_are_told_by_whole_names() -> None:
+    assert targets_in("servo_gain.kp[joint1+joint2]") == {"joint1", "joint2"}
+    assert targets_in("joint_coupling.stiffness[joint10<-joint2]") == {"joint10", "joint2"}
