@@ -36,6 +36,13 @@ def placement(problem: Problem, candidate: Candidate) -> Placement:
     return Placement(effect, candidate.targets, scaled=scaling_of(problem, candidate.effect))
 
 
+def probes_of(problem: Problem, place: Placement) -> list[dict[str, float]]:
+    """Small versions of an effect for the score test, placed where the motions went, inside the box of what is searched."""
+    boxes = {p.name: (p.low, p.high) for p in place.effect.parameters(problem.robot.model, place.targets)}
+    probes = place.effect.probes(problem.narrowed, place.targets)
+    return [{name: float(np.clip(value, *boxes[name])) for name, value in probe.items()} for probe in probes]
+
+
 def library(problem: Problem) -> list[Effect]:
     """The effects that may be named: the whole library or those asked for, less the nuisance and the ignored.
 

@@ -33,11 +33,9 @@ def left_out_errors(problem: Problem, fit: Fit) -> Float[np.ndarray, "M"]:
     fold = folds(problem, len(windows))
     if far_off(problem, fit) or any(place.effect.rough for place in fit.objective.simulated.placements):
         return _left_out_carefully(fit, fold)
-    sets = []
-    for number in range(len(windows)):
-        rows = ~np.isin(fit.objective.owner, np.flatnonzero(fold == fold[number]))
-        sets.append(fit.space.from_unit(np.clip(fit.unit + step_from(fit, rows), 0.0, 1.0)))
-    simulated = rollout_each(fit.objective.simulated, np.array(sets).reshape(len(windows), -1), windows, problem.settings.threads)
+    kept = [fold[fit.objective.owner] != one for one in range(fold.max() + 1)]
+    without = np.array([fit.space.from_unit(np.clip(fit.unit + step_from(fit, rows), 0.0, 1.0)) for rows in kept])
+    simulated = rollout_each(fit.objective.simulated, without[fold], windows, problem.settings.threads)
     errors = np.array([_mean_square(s, w.measured, problem.counted) for s, w in zip(simulated, windows, strict=True)])
     return errors if errors.mean() <= (ASTRAY * fit.rms) ** 2 else _left_out_carefully(fit, fold)
 
@@ -45,8 +43,9 @@ def left_out_errors(problem: Problem, fit: Fit) -> Float[np.ndarray, "M"]:
 def _left_out_carefully(fit: Fit, fold: np.ndarray) -> Float[np.ndarray, "M"]:
     """The same where a whole step may lead astray: of several lengths that which suits the other motions is taken."""
     owner = fit.objective.owner
-    kept = [~np.isin(owner, np.flatnonzero(fold == one)) for one in range(fold.max() + 1)]
-    sets = [np.clip(fit.unit + length * step_from(fit, rows), 0.0, 1.0) for rows in kept for length in LENGTHS]
+    kept = [fold[owner] != one for one in range(fold.max() + 1)]
+    steps = [step_from(fit, rows) for rows in kept]
+    sets = [np.clip(fit.unit + length * step, 0.0, 1.0) for step in steps for length in LENGTHS]
     squares = fit.objective.residuals(fit.space.from_unit(np.array(sets))) ** 2
     out = np.zeros(len(fold))
     for one, rows in enumerate(kept):

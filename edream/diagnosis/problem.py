@@ -1,10 +1,13 @@
 """What a diagnosis works on: the recordings it may fit, those it may not, the model's known unknowns and the noise floor."""
 
+import copy
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
+from functools import cached_property
 
+import mujoco
 import numpy as np
 from jaxtyping import Float
 
@@ -19,6 +22,8 @@ from edream.sim.window import Window, whole
 
 CREDIBLE_FACTOR = 2.5
 SHORTEST = 4.0  # s
+OUTLYING = (0.5, 99.5)  # percentiles of the positions between which a joint moved
+STILL = 0.02  # rad
 NOMINAL_SPREAD = math.log(1.35)
 
 
@@ -102,6 +107,18 @@ class Problem:
         """Joints that are commanded, recorded and counted."""
         names = self.fitted[0].episode.joints
         return tuple(name for name, counts in zip(names, self.counted, strict=True) if counts)
+
+    @cached_property
+    def narrowed(self) -> mujoco.MjModel:
+        """The robot's model, each joint's range where the fitted motions went: for effects that ask where a joint moves."""
+        model = copy.copy(self.robot.model)
+        for column, name in enumerate(self.fitted[0].episode.joints):
+            visited = np.concatenate([window.measured[:, column] for window in self.fitted])
+            low, high = np.percentile(visited, OUTLYING)
+            if high - low >= STILL:
+                joint = model.joint(name).id
+                model.jnt_limited[joint], model.jnt_range[joint] = 1, (low, high)
+        return model
 
 
 def prepare(robot: RobotModel, episodes: Sequence[Episode], settings: Settings) -> Problem:

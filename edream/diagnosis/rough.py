@@ -9,7 +9,7 @@ import cma
 import numpy as np
 
 from edream.core.parameters import targets_in
-from edream.diagnosis.candidates import Candidate, can_act, library, placement
+from edream.diagnosis.candidates import Candidate, can_act, library, placement, probes_of
 from edream.diagnosis.descent import Fit, begin, descend
 from edream.diagnosis.problem import Problem
 from edream.diagnosis.screen import acts_already, extend, fits_beside, with_quantities
@@ -40,7 +40,7 @@ def searched(problem: Problem, fit: Fit, candidate: Candidate) -> Fit | None:
     extended, absent = extend(fit, [place])
     space, few = extended.simulated.space, brief(extended)
     own = np.array([candidate.targets[0] in targets_in(name) for name in space.names])
-    probes = place.effect.probes(problem.robot.model, candidate.targets)
+    probes = probes_of(problem, place)
     sets = np.array([with_quantities(extended, absent, [place], [probe]) for probe in probes])
     usual = own & np.array([name.partition(".")[0] in problem.settings.nuisance for name in space.names])
     sets[:, usual] = space.start()[usual]

@@ -21,7 +21,7 @@ from mujoco import batch
 from edream.core.effect import Effect
 from edream.core.errors import EdreamError
 from edream.core.parameters import Parameter, targets_in
-from edream.diagnosis.candidates import Candidate, acted_on, alike, groups_of, library, placement, rounds
+from edream.diagnosis.candidates import Candidate, acted_on, alike, groups_of, library, placement, probes_of, rounds
 from edream.diagnosis.descent import Fit
 from edream.diagnosis.problem import Problem
 from edream.sim.objective import Objective
@@ -157,7 +157,7 @@ def _probe_round(problem: Problem, fit: Fit, candidates: Sequence[Candidate], to
     """All candidates of a round probed at once; each is judged on the residual of its own joint, a hardware group on all of its."""
     placements = [placement(problem, c) for c in candidates]
     extended, absent = extend(fit, placements)
-    probes = [p.effect.probes(problem.robot.model, p.targets) for p in placements]
+    probes = [probes_of(problem, p) for p in placements]
     count = max(len(p) for p in probes)
     sets = [absent] + [with_quantities(extended, absent, placements, [p[min(i, len(p) - 1)] for p in probes]) for i in range(count)]
     residuals = extended.residuals(np.array(sets))
@@ -202,7 +202,7 @@ def scored_probes(
     `changes` are what the candidate's own probes change, or `probes` where they are given.
     """
     place = placement(problem, candidate)
-    own = probes or place.effect.probes(problem.robot.model, place.targets)
+    own = probes or probes_of(problem, place)
     rows, columns = _own_rows(problem, fit, candidate)
     away, pull = prior_rows(fit)
     projection = Projection(np.vstack([fit.jacobian[np.ix_(rows, columns)], pull[np.ix_(columns, columns)]]))

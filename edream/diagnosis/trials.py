@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from edream.core.parameters import targets_in
-from edream.diagnosis.candidates import Candidate, acted_on, library, placement, rounds
+from edream.diagnosis.candidates import Candidate, acted_on, library, placement, probes_of, rounds
 from edream.diagnosis.descent import Fit, begin, descend, stretches
 from edream.diagnosis.left_out import bootstrap, far_off, is_small, left_out_errors
 from edream.diagnosis.problem import Problem, nuisance_placements
@@ -251,10 +251,6 @@ def with_column(fit: Fit, extended: Objective, start: Float[np.ndarray, "P"]) ->
 
 def fresh_columns(fit: Fit, extended: Objective) -> np.ndarray:
     return np.arange(len(extended.simulated.space)) >= len(fit.unit)
-
-
-def probes_of(problem: Problem, place: Placement) -> Sequence[Mapping[str, float]]:
-    return place.effect.probes(problem.robot.model, place.targets)
 
 
 def strong_probes(problem: Problem, place: Placement) -> list[dict[str, float]]:

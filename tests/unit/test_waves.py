@@ -1,4 +1,4 @@
-"""A ripple whose length lies between two coarse probes is found by probing every length that the travel can tell."""
+"""Where an effect is probed: at every length of a ripple that the travel can tell, and at places that the motions went to."""
 
 from dataclasses import replace
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from benchmarks.blind.cases import robot_of
 from edream.core.episode import Episode
-from edream.diagnosis.candidates import Candidate, placement
+from edream.diagnosis.candidates import Candidate, placement, probes_of
 from edream.diagnosis.descent import begin
 from edream.diagnosis.nuisance import fit_nuisance
 from edream.diagnosis.problem import Settings, prepare
@@ -46,3 +46,22 @@ def test_a_ripple_between_two_coarse_lengths_is_found() -> None:
     assert abs(scanned(problem, fit, coarse).start["periods"] - TRUE["periods"]) < 0.5
     best = screen(problem, fit)[0]
     assert best.candidate == coarse.candidate and best.share > 0.6
+
+
+def test_effects_that_have_a_place_are_probed_where_the_joint_moved() -> None:
+    robot = robot_of("pan_tilt")
+    assert robot is not None
+    low, high = 0.6, 0.8
+    own = tuple(robot.model.joint("tilt").range)
+    episodes = [motion(n, robot.joints) for n in range(4)]
+    column = robot.joints.index("tilt")
+    for episode in episodes:
+        episode.position[:, column] = np.linspace(low, high, len(episode.times))
+    problem = prepare(robot, episodes, Settings())
+    place = placement(problem, Candidate("position_friction", ("tilt",)))
+    box = next(p for p in place.effect.parameters(robot.model, ("tilt",)) if p.name == "width")
+    probes = probes_of(problem, place)
+    assert all(low <= probe["centre"] <= high for probe in probes)
+    assert len({probe["centre"] for probe in probes}) >= 5
+    assert all(box.low <= probe["width"] <= box.high for probe in probes)
+    assert tuple(robot.model.joint("tilt").range) == own
