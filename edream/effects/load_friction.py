@@ -5,10 +5,11 @@ from typing import Any
 
 import mujoco
 
-from edream.core.effect import Effect, State
+from edream.core.effect import Effect, Fields, State, Values
 from edream.core.parameters import Parameter
 from edream.sim.friction import hold_still
 from edream.sim.rotor import drive_joint
+from edream.sim.servo import damping_inside, share_damping
 
 
 def load_friction(state: State, index: dict[str, int], values: dict[str, Any]) -> None:
@@ -25,8 +26,9 @@ class LoadFriction(Effect):
 
     The load is all that the gear passes on to its link: weight, motion and inertia. The loop between measured and commanded
     position is wide where gravity pulls and narrow where it does not. A gear that is loaded from its output (self-locking) has m
-    near 0, one whose losses follow the motor's torque m near 1. MJCF has no such term: a hook sets `dof_frictionloss` before each
-    step. Parameters: slope k [1], motor_share m [1].
+    near 0, one whose losses follow the motor's torque m near 1. Of the damping, what the servo does itself is part of the motor's
+    torque. MJCF has no such term: a hook sets `dof_frictionloss` before each step.
+    Parameters: slope k [1], motor_share m [1], inside: the servo's share of the damping [1], about as published.
     Source: Bittencourt, Gunnarsson, IEEE/ASME Transactions on Mechatronics 17(4), 2012; Duclusaud et al. (BAM), 2024.
     """
 
@@ -35,15 +37,24 @@ class LoadFriction(Effect):
     place = "joint"
     confusable = ("coulomb", "directional_efficiency")
     hook = staticmethod(load_friction)
+    late = 2
 
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
-        return (Parameter("slope", "1", 0.0, 0.95, 0.0, absent=0.0), Parameter("motor_share", "1", 0.0, 1.0, 0.5))
+        return (
+            Parameter("slope", "1", 0.0, 0.95, 0.0, absent=0.0),
+            Parameter("motor_share", "1", 0.0, 1.0, 0.5),
+            damping_inside(model, targets),
+        )
 
     def probes(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[dict[str, float], ...]:
-        return ({"slope": 0.05, "motor_share": 0.1}, {"slope": 0.05, "motor_share": 0.9})
+        inside = damping_inside(model, targets).start
+        return tuple({"slope": 0.05, "motor_share": share, "inside": inside} for share in (0.1, 0.9))
 
     def edit(self, spec: mujoco.MjSpec, target: str) -> None:
         hold_still(spec, drive_joint(spec, target))
+
+    def write(self, fields: Fields, target: str, values: Values) -> None:
+        share_damping(fields, target, values["inside"])
 
 
 ENTRY = LoadFriction()
