@@ -1,6 +1,7 @@
 """How large torques and speeds are on a joint: the yardstick for bounds that suit any robot."""
 
 from collections.abc import Sequence
+from weakref import WeakKeyDictionary
 
 import mujoco
 import numpy as np
@@ -11,13 +12,27 @@ POSES = 24
 BRISK_ACCELERATION = 20.0  # rad/s^2: what a brisk servo move asks of a joint
 BANDWIDTH = 30.0  # rad/s, of a usual position servo
 STUCK = 0.1  # rad of error that dry friction may hold
+FOLLOWS_FROM = (
+    "qpos0", "jnt_range", "jnt_limited", "jnt_pos", "jnt_axis", "body_pos", "body_quat", "body_mass", "body_inertia", "body_ipos",
+    "body_iquat", "dof_armature", "actuator_biasprm",
+)  # fmt: skip
+_ASKED: WeakKeyDictionary[mujoco.MjModel, dict[tuple[str, bytes], float]] = WeakKeyDictionary()
 
 
 def torque_scale(model: mujoco.MjModel, joint: str) -> float:
     """A large torque for this joint [N m]: the heaviest gravity load over sampled poses plus that of a brisk acceleration.
 
     Where the model leaves the motor's rotor out, its inertia is guessed: at the end of an arm it is most of what there is.
+    A model is asked once for each joint, as long as what this follows from stays as it is.
     """
+    asked = _ASKED.setdefault(model, {})
+    key = (joint, b"".join(np.asarray(getattr(model, field)).tobytes() for field in FOLLOWS_FROM) + model.opt.gravity.tobytes())
+    if key not in asked:
+        asked[key] = _torque_scale(model, joint)
+    return asked[key]
+
+
+def _torque_scale(model: mujoco.MjModel, joint: str) -> float:
     number = model.joint(joint).id
     dof = int(model.jnt_dofadr[number])
     data = mujoco.MjData(model)

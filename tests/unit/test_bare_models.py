@@ -1,11 +1,13 @@
 """Models as many are published, without a motor's rotor: what is searched has room for what the real drives have."""
 
+import copy
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from benchmarks.blind.cases import robot_of
 from edream import catalog
 from edream.core.effect import Effect
 from edream.core.episode import Episode
@@ -16,7 +18,7 @@ from edream.sim.beginning import beginning
 from edream.sim.objective import Objective
 from edream.sim.robot import RobotModel, load_robot
 from edream.sim.rollout import rollout
-from edream.sim.scales import rotor_guess
+from edream.sim.scales import rotor_guess, torque_scale
 from edream.sim.simulation import Placement, SimulatedRobot
 from edream.sim.window import whole
 
@@ -96,3 +98,14 @@ def test_a_damping_that_the_model_leaves_out_is_guessed(tmp_path: Path) -> None:
     (some,) = effect.parameters(wrist(tmp_path, **{**TRUE, "armature": 0.1}).model, ("wrist",))
     assert none.guessed and 0.3 < none.start < 3.0
     assert not some.guessed and some.start == TRUE["damping"]
+
+
+def test_a_torque_scale_follows_a_model_that_was_changed() -> None:
+    robot = robot_of("pan_tilt")
+    assert robot is not None
+    model = copy.copy(robot.model)
+    before = torque_scale(model, "tilt")
+    assert torque_scale(model, "tilt") == before
+    model.body_mass[:] *= 3.0
+    model.body_inertia[:] *= 3.0
+    assert torque_scale(model, "tilt") > 1.5 * before
