@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -49,6 +50,35 @@ for _ in range(round(SECONDS * policy.about.rate)):  # as long as a trial
 '''
 
 
+def about_in(folder: Path) -> PolicyAbout:
+    """What is known of the policy in a folder: a bundle, or what a stage made.
+
+    Raises:
+        EdreamError: there is none, or it is damaged.
+    """
+    path = folder / ABOUT
+    try:
+        return PolicyAbout.of(json.loads(path.read_text()))
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise EdreamError(
+            f"{path} is no policy: {type(error).__name__} {error}; expected what edream export-policy wrote."
+        ) from error
+
+
+def going_on(about: PolicyAbout, folder: Path) -> PolicyAbout:
+    """A policy that begins with the weights of the one in a folder, and so keeps its scales.
+
+    Raises:
+        EdreamError: it is another kind of policy, sees something else or moves other joints.
+    """
+    earlier = about_in(folder)
+    for name in ("kind", "options", "shape", "order", "cameras", "rate"):
+        old, new = getattr(earlier, name), getattr(about, name)
+        if old != new:
+            raise EdreamError(f"sft.start={folder} holds a policy with {name} {old}; the settings and recordings ask for {new}.")
+    return replace(about, joints=earlier.joints, actions=earlier.actions, state=earlier.state)
+
+
 class RunningPolicy:
     """A policy from a bundle, one observation after the other.
 
@@ -60,13 +90,7 @@ class RunningPolicy:
     """
 
     def __init__(self, folder: Path) -> None:
-        path = folder / ABOUT
-        try:
-            self.about = PolicyAbout.of(json.loads(path.read_text()))
-        except (OSError, ValueError, KeyError, TypeError) as error:
-            raise EdreamError(
-                f"{path} is no policy: {type(error).__name__} {error}; expected what edream export-policy wrote."
-            ) from error
+        self.about = about_in(folder)
         self._network = self.about.network(read_weights(folder / WEIGHTS)).eval()
         self.begin()
 

@@ -12,6 +12,7 @@ from edream.core.errors import EdreamError, require
 from edream.vision.frames import resized
 
 ENDINGS = (".png", ".jpg", ".jpeg")
+EVEN = 0.15  # of an image's height: light and dark that is wider is the room's
 
 
 @dataclass(frozen=True)
@@ -20,7 +21,7 @@ class TwinOptions:
 
     Attributes:
         copies: twins of each demonstration.
-        changed: share of the twins whose scene is changed.
+        changed: share of the twins' images whose scene is changed, each by itself: no scene tells of its demonstration.
         folder: photos to take as backgrounds, or None to lay a flat patch onto the photo of the bench.
         colour: relative spread of the colours of the things in changed scenes.
     """
@@ -67,7 +68,9 @@ def changed_background(
     cover = np.zeros((h, w), np.uint8)
     cv2.fillConvexPoly(cover, np.round(corners * 16).astype(np.int32), 255, cv2.LINE_AA, 4)
     share = cover[..., None] / 255.0
-    light = plate.mean(axis=2, keepdims=True) / max(float(plate.mean()), 1.0)  # the bench's own light and dark stay
+    # the bench's own light and dark stay, its grain does not
+    grey = cv2.GaussianBlur(plate.mean(axis=2), (0, 0), EVEN * h, borderType=cv2.BORDER_REPLICATE)[..., None]
+    light = grey / max(float(plate.mean()), 1.0)
     mixed = plate + share * (np.clip(colour * (0.5 + 0.5 * light), 0, 255) - plate)
     return np.clip(np.round(mixed), 0, 255).astype(np.uint8)
 

@@ -1,7 +1,7 @@
 """Demonstrations: recorded episodes as what was seen and what was commanded at each control step."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -144,6 +144,7 @@ class ChunkBatches:
         demonstrations: what is drawn from.
         about: the policy's scales and its chunk.
         part: which part of a batch is this process' own, and how many there are; each part has chances of its own.
+        hidden: share of the samples of a batch whose joints are hidden.
     """
 
     demonstrations: Sequence[Demonstration]
@@ -152,6 +153,7 @@ class ChunkBatches:
     seed: int
     shake: Shake | None = None
     part: tuple[int, int] = (0, 1)
+    hidden: float = 0.0
 
     def at(self, step: int) -> tuple[Seen, torch.Tensor, Bool[torch.Tensor, "B H"], torch.Generator]:
         """The batch of a training step: what is seen, the actions (B, H, A), which of them are no padding, and a generator."""
@@ -164,6 +166,9 @@ class ChunkBatches:
         if parts > 1:
             places, rng = places[own::parts], np.random.default_rng((self.seed, 0xD3, step, own))
         seen, actions, valid = self.of(places, rng)
+        if self.hidden:
+            shown = torch.from_numpy(rng.random(len(places)) >= self.hidden)
+            seen = replace(seen, joints=seen.joints * shown[:, None])  # in units of their spread about their mean
         return seen, actions, valid, torch.Generator().manual_seed(int(rng.integers(2**62)))
 
     def of(

@@ -60,6 +60,9 @@ class SftOptions:
         shake: how training images are shaken.
         twins: whether every demonstration is also learned as the simulator's eyes see it, before the photo `rollouts.plate`, its
             robot as measured and its things as tracked (`render.scene`); so that trials there are no strange sight.
+        start: folder of a policy to go on from (a bundle, or an artifact of sft or rl), or None to begin with weights from chance.
+        hidden: share of the training samples whose measured joints are hidden (at their mean), so that the policy looks: where the
+            arm is already tells most of where a demonstration is going, and of that a policy must not learn to be content.
     """
 
     train: Schedule = field(default_factory=Schedule)
@@ -69,8 +72,11 @@ class SftOptions:
     apart: int = 5
     shake: Shake = field(default_factory=Shake)
     twins: bool = False
+    start: Path | None = None
+    hidden: float = 0.0
 
     def __post_init__(self) -> None:
         for name in ("batch", "checkpoint", "apart"):
             require(getattr(self, name) >= 1, f"sft.{name}", getattr(self, name), "at least 1")
+        require(0.0 <= self.hidden < 1.0, "sft.hidden", self.hidden, "a share, 0 or more and below 1")
         require(0.0 < self.held < 1.0, "sft.held", self.held, "a share between 0 and 1")

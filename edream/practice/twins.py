@@ -1,6 +1,6 @@
 """Twins of demonstrations: the same motion of the same things, as the simulator's eyes see it."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,14 +25,13 @@ def twin_images(
     order: Sequence[str],
     eye: SimulationCamera,
     scene: Scene,
-    plate: np.ndarray,
     options: PolicyOptions,
-    gain: np.ndarray,
+    dressed: Callable[[], tuple[np.ndarray, np.ndarray]],
 ) -> np.ndarray:
     """The measured robot and the tracked things before a photo of the bench, at each control step, (T, 1, H, W, 3).
 
     Args:
-        gain: factor of each colour channel of the things, (3,).
+        dressed: the background of the next step, and the factor of each colour channel of the things, (3,).
 
     Raises:
         EdreamError: nothing was tracked in this episode.
@@ -43,6 +42,7 @@ def twin_images(
     for joints, time in zip(demonstration.joints, step_times(episode, options.rate), strict=True):
         seen = eye.see(dict(zip(order, joints, strict=True)), scene.at(episode.name, float(time)))
         share = np.maximum(seen.robot, seen.object)
+        plate, gain = dressed()
         colour = tinted(seen.colour, seen.object, gain)
         rows.append(resized(over(plate, colour, share), options.height, options.width)[None])
     return np.stack(rows)

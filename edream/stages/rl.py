@@ -209,7 +209,7 @@ def _demonstrations(inputs: Mapping[str, Artifact], about: PolicyAbout, config: 
     made, _, _ = demonstrations(episodes, about.order, config.policy, folder)
     held = held_out(len(made), config.sft.held, config.seed)
     taught = with_twins([(n, one) for n, one in enumerate(made) if n not in held], inputs.get("twins"), folder)
-    return ChunkBatches(taught, about, config.sft.batch, config.seed, config.sft.shake)
+    return ChunkBatches(taught, about, config.sft.batch, config.seed, config.sft.shake, hidden=config.sft.hidden)
 
 
 def _tensors(weights: Mapping[str, np.ndarray]) -> dict[str, torch.Tensor]:

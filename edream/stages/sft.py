@@ -17,12 +17,13 @@ from edream.core.errors import EdreamError
 from edream.core.stage import Artifact, Bundle, Source, Stage, Work
 from edream.ingest.stored import stored_episodes
 from edream.learn import ranks
-from edream.learn.checkpoint import fill, weights_digest
+from edream.learn.checkpoint import fill, read_weights, weights_digest
 from edream.learn.determinism import deterministic
 from edream.learn.device import device_of
 from edream.learn.policy import FittedPolicy, Policy, Seen, masked_l1
 from edream.learn.training import AVERAGE, Ahead, State, new_state, part, train
 from edream.practice.about import ABOUT, WEIGHTS, PolicyAbout
+from edream.practice.bundle import going_on
 from edream.practice.demonstrations import ChunkBatches, Demonstration
 from edream.practice.options import PolicyOptions, SftOptions
 from edream.practice.sampling import about_of, demonstrations, held_out, with_twins
@@ -58,7 +59,7 @@ class Trainer:
 
     Attributes:
         taught: the demonstrations; `batches` of them and of their twins.
-        judge: the held-out ones, whose names are `held`.
+        judge: the held-out ones, whose names are `held`; and their twins, where these show changed scenes.
     """
 
     config: SftConfig
@@ -75,12 +76,17 @@ class Trainer:
         order = config.robot.load().joints
         made, cameras, rate = demonstrations(list(stored_episodes(inputs["ingest"])), order, config.policy, folder)
         held = held_out(len(made), config.sft.held, config.seed)
-        taught = [(number, one) for number, one in enumerate(made) if number not in held]
-        about = about_of([one for _, one in taught], order, cameras, rate, config.policy)
-        twins = with_twins(taught, inputs.get("twins"), folder)
-        batches = ChunkBatches(twins, about, config.sft.batch, config.seed, config.sft.shake)
-        judge = ChunkBatches([one for number, one in enumerate(made) if number in held], about, config.sft.batch, config.seed)
-        network = about.network(seed=config.seed).to(device_of(config.policy.device, "policy.device"))
+        taught, kept = ([(n, one) for n, one in enumerate(made) if (n in held) is way] for way in (False, True))
+        about, start = about_of([one for _, one in taught], order, cameras, rate, config.policy), config.sft.start
+        about = about if start is None else going_on(about, start)
+        weights = None if start is None else read_weights(start / WEIGHTS)
+        twins = inputs.get("twins")
+        seen = with_twins(taught, twins, folder)
+        batches = ChunkBatches(seen, about, config.sft.batch, config.seed, config.sft.shake, hidden=config.sft.hidden)
+        # changed scenes are there to be met, so how a policy does in them counts, too
+        changed = twins is not None and twins["summary.json"]["changed"] > 0.0
+        judge = ChunkBatches(with_twins(kept, twins if changed else None, folder), about, config.sft.batch, config.seed)
+        network = about.network(weights, config.seed).to(device_of(config.policy.device, "policy.device"))
         names = tuple(sorted(made[number].name for number in held))
         return cls(config, about, network, tuple(one for _, one in taught), batches, judge, names)
 
@@ -190,7 +196,8 @@ def needs(config: SftConfig) -> tuple[str, ...]:
 def sources(config: SftConfig) -> Mapping[str, Source]:
     """The robot, and the tracks of objects where the policy sees them."""
     found: dict[str, Any] = {"robot": config.robot.content()}
-    return found | ({"objects": config.policy.objects} if config.policy.objects else {})
+    files = {"objects": config.policy.objects, "start": config.sft.start}
+    return found | {name: path for name, path in files.items() if path is not None}
 
 
 ENTRY = Stage("sft", 1, needs, SftConfig, run, sources, ("torch", "numpy"), follow)

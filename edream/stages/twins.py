@@ -59,11 +59,13 @@ def run(inputs: Mapping[str, Artifact], config: TwinsConfig, work: Work) -> Bund
 
     def one(turn: tuple[int, int], rng: np.random.Generator) -> Bundle:
         number, _ = turn
-        behind, gain = plate, np.ones(3)
-        if rng.random() < config.twins.changed:
-            behind = changed_background(plate, others, rng)
-            gain = 1.0 + config.twins.colour * rng.standard_normal(3)
-        images = twin_images(episodes[number], made[number], robot.joints, eye, scene, behind, config.policy, gain)
+
+        def dressed() -> tuple[np.ndarray, np.ndarray]:
+            if rng.random() >= config.twins.changed:
+                return plate, np.ones(3)
+            return changed_background(plate, others, rng), 1.0 + config.twins.colour * rng.standard_normal(3)
+
+        images = twin_images(episodes[number], made[number], robot.joints, eye, scene, config.policy, dressed)
         return {"images.safetensors": {"images": images}}
 
     turns = [(number, copy) for number in range(len(episodes)) for copy in range(config.twins.copies)]
@@ -78,7 +80,7 @@ def run(inputs: Mapping[str, Artifact], config: TwinsConfig, work: Work) -> Bund
     frames = config.twins.copies * sum(len(demonstration) for demonstration in made)
     sentence = f"{len(made)} demonstrations seen {config.twins.copies} times by the simulator, {frames} images"
     changed = f", {100 * config.twins.changed:.0f} % of them with another scene." if config.twins.changed else "."
-    return {**kept, "summary.json": {"sentence": sentence + changed}}
+    return {**kept, "summary.json": {"sentence": sentence + changed, "changed": config.twins.changed}}
 
 
 def seen_beside(config: TwinsConfig) -> tuple[Path, Path]:
@@ -98,4 +100,4 @@ def sources(config: TwinsConfig) -> Mapping[str, Source]:
     return {"robot": config.robot.content()} | {name: path for name, path in files.items() if path is not None}
 
 
-ENTRY = Stage("twins", 1, ("ingest", "camera"), TwinsConfig, run, sources, ("mujoco", "numpy"))
+ENTRY = Stage("twins", 2, ("ingest", "camera"), TwinsConfig, run, sources, ("mujoco", "numpy"))

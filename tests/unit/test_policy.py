@@ -209,3 +209,14 @@ def test_a_filmed_trial_is_an_episode_and_a_moving_picture(tmp_path: Path) -> No
     assert np.array_equal(episode.command, trial.actions) and np.array_equal(episode.position[0], film[0].joints)
     assert np.array_equal(np.stack(list(episode.videos["cam"].frames())), arrays["images/cam"])
     assert moving_picture(arrays, about_.rate).startswith(b"\x89PNG")
+
+
+def test_hidden_joints_are_hidden_in_their_share_of_samples_and_nothing_else_is() -> None:
+    demos = [demonstrated(1, True), demonstrated(2, True)]
+    about_ = about(demos)
+    shown, _, _, _ = ChunkBatches(demos, about_, 400, 3).at(5)
+    seen, _, _, _ = ChunkBatches(demos, about_, 400, 3, hidden=0.5).at(5)
+    blank = (seen.joints == 0.0).all(dim=1)
+    assert 0.4 < float(blank.float().mean()) < 0.6
+    assert torch.equal(seen.joints[~blank], shown.joints[~blank])
+    assert torch.equal(seen.images, shown.images) and torch.equal(seen.state, shown.state)

@@ -1,6 +1,7 @@
 """Trials in the simulated workcell: what the policy is shown there, and which physics it meets."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -11,13 +12,16 @@ from edream import config, kinds
 from edream.calibration.settings import RobotSettings
 from edream.core.bench import bench_of
 from edream.core.camera import pinhole
+from edream.core.episode import Episode
 from edream.core.errors import EdreamError
 from edream.core.scene import Scene
 from edream.practice.changing import changed_background, photos, tinted
+from edream.practice.demonstrations import Demonstration
 from edream.practice.dreaming import Dreaming, open_dreamed
+from edream.practice.options import PolicyOptions
 from edream.practice.rehearsing import RolloutOptions, calm, drawn_values, needs_of, shards_of
 from edream.practice.trial import Chance
-from edream.practice.twins import eye_of
+from edream.practice.twins import eye_of, twin_images
 from edream.practice.worlds import CompositeEyes, RawEyes, Workcell, open_workcell, over
 from edream.sim.robot import RobotModel
 from edream.stages.evaluate import worth_seeing
@@ -131,6 +135,18 @@ def test_a_changed_scene_has_a_patch_in_the_bench_s_own_light_or_another_photo(t
     thing[:4] = 255
     assert np.array_equal(tinted(plate, thing, np.array([0.5, 1.0, 1.0]))[4:], plate[4:])
     assert (tinted(plate, thing, np.array([0.5, 1.0, 1.0]))[:4, :, 0] < plate[:4, :, 0]).all()
+
+
+def test_each_image_of_a_twin_has_a_scene_of_its_own() -> None:
+    times = np.arange(6) / 10.0
+    episode = Episode("one", ("a",), times, np.zeros((6, 1)), times, np.zeros((6, 1)))
+    shown = Demonstration("one", np.zeros((6, 1)), np.zeros((6, 1)), np.zeros((6, 1, 16, 16, 3), np.uint8), np.zeros((6, 0)))
+    black = SimpleNamespace(colour=np.zeros((16, 16, 3), np.uint8), robot=np.zeros((16, 16), np.uint8), object=np.zeros((16, 16)))
+    eye = SimpleNamespace(see=lambda joints, things: black)
+    scene = SimpleNamespace(at=lambda name, time: {"cup": np.zeros(7)})
+    scenes = ((np.full((16, 16, 3), number, np.uint8), np.ones(3)) for number in range(6))
+    images = twin_images(episode, shown, ("a",), eye, scene, PolicyOptions(height=16, width=16), lambda: next(scenes))
+    assert images.shape == (6, 1, 16, 16, 3) and images[:, 0, 0, 0, 0].tolist() == [0, 1, 2, 3, 4, 5]
 
 
 def test_films_show_failures_and_successes_in_turn() -> None:
