@@ -20,6 +20,7 @@ from edream.sim.least_squares import worth
 MATERIAL = 0.05  # of the gap at first, in root-mean-square error, that a further effect must close
 ALIKE = 0.9  # a rival that closes this share of what the winner closes may be the true one
 NEAR, RIVALS = 0.75, 5  # of the best one's gain; so many go on
+BEHIND = 0.6  # of it, where the best leaves a gap that can be seen
 NARROW = 0.3  # of a quantity's range: an interval that says something
 AS_WELL = 0.95  # of the share that an effect closes: its special case closes as much, and needs less to be believed
 DISTINCT = 0.5  # of the floor squared, or of the error where that is larger
@@ -97,10 +98,19 @@ def matters(problem: Problem, first: Float[np.ndarray, "M"], errors: Float[np.nd
 
 
 def settled(problem: Problem, errors: Float[np.ndarray, "M"], trials: Sequence[Trial]) -> list[Trial]:
-    """The trials, those near the best gone down to their ends: an effect of more numbers needs more steps to show what it can."""
-    best = [t for t in trials if t.sure and t.closed >= NEAR * max(t.closed for t in trials)][:RIVALS]
+    """The trials, those near the best gone down to their ends: an effect of more numbers needs more steps to show what it can.
+
+    Where the best leaves a gap that can be seen, those further behind as well, and the first of them to the end of their valleys:
+    where one is all but flat (a lag beside damping and inertia) steps have become small long before.
+    """
+    most = max((t.closed for t in trials), default=0.0)
+    leads = next((t for t in trials if t.sure), None)
+    short = leads is not None and is_brief(leads.fit) and leads.fit.rms > (1.0 + VISIBLE) * problem.floor
+    best = [t for t in trials if t.sure and t.closed >= (BEHIND if short else NEAR) * most][:RIVALS]
     near = [t for t in best if is_brief(t.fit) or not passes(problem, t)]
     ends = [descend(replace(t.fit, scale=worth(t.fit.objective, t.fit.residual)), None, 4) for t in near]
+    if short and min(end.rms for end in ends) > (1.0 + VISIBLE) * problem.floor:
+        ends = [polish(end) if number < SHAPES else end for number, end in enumerate(ends)]
     again = [judged(problem, end, errors, t) for end, t in zip(ends, near, strict=True)]
     better = [max(pair, key=lambda t: (passes(problem, t), t.closed)) for pair in zip(near, again, strict=True)]
     return sorted([*better, *(t for t in trials if t not in near)], key=lambda t: -t.closed)

@@ -1,5 +1,6 @@
 """Which refitted candidates go on, on made-up trials."""
 
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -51,3 +52,34 @@ def test_what_does_not_stand_at_the_end_of_its_search_gives_way_to_the_next(monk
 def test_the_joints_of_a_number_are_told_by_whole_names() -> None:
     assert targets_in("servo_gain.kp[joint1+joint2]") == {"joint1", "joint2"}
     assert targets_in("joint_coupling.stiffness[joint10<-joint2]") == {"joint10", "joint2"}
+
+
+@pytest.mark.parametrize(("left", "polished"), [(2.0, ["delay", "lag"]), (1.0, [])])
+def test_rivals_go_to_the_end_of_their_valleys_where_the_best_leaves_a_gap(
+    monkeypatch: pytest.MonkeyPatch, left: float, polished: list[str]
+) -> None:
+    def trial(name: str, closed: float) -> Trial:
+        fit = FitOf(name, left)
+        return Trial(Candidate(name, ("tilt",)), 0.0, fit, np.zeros(4), closed, True)
+
+    ended: list[str] = []
+    monkeypatch.setattr(decide, "is_brief", lambda fit: True)
+    monkeypatch.setattr(decide, "passes", lambda problem, t: True)
+    monkeypatch.setattr(decide, "worth", lambda objective, residual: 1.0)
+    monkeypatch.setattr(decide, "descend", lambda fit, fresh, iterations: fit)
+    monkeypatch.setattr(decide, "polish", lambda fit: ended.append(fit.name) or replace(fit, rms=0.9))
+    monkeypatch.setattr(decide, "judged", lambda problem, fit, errors, t: replace(t, fit=fit, closed=1.0 / fit.rms))
+    problem = SimpleNamespace(floor=1.0)
+    trials_ = [trial("delay", 0.8), trial("lag", 0.5), trial("spring", 0.3)]
+    found = decide.settled(problem, np.zeros(4), trials_)
+    assert ended == polished and len(found) == 3
+    assert found[-1].candidate.effect == "spring" and found[-1].closed == 0.3  # too far behind
+
+
+@dataclass(frozen=True)
+class FitOf:
+    name: str
+    rms: float
+    scale: float = 1.0
+    objective: object = None
+    residual: object = None
