@@ -6,7 +6,7 @@ NODE := .venv-node
 DEMO := runs/reproduce
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: reproduce policy-tiny policy-seeds policy-table policy-physics dream-tiny bench-dream test slow recovery faults fuzz docs bench-scale bench-calibrate bench-steps check check-lerobot check-mcap blind blind-slice clean
+.PHONY: reproduce policy-tiny policy-paper policy-seeds policy-table policy-physics dream-tiny bench-dream test slow recovery faults fuzz docs bench-scale bench-calibrate bench-steps check check-lerobot check-mcap blind blind-slice clean
 
 # The whole way on a make-believe robot with an effect hidden in it, at the sizes of conf/experiment/tiny.yaml: an expert's demonstrations and
 # free motions are recorded; calibrated (beside annealing) and diagnosed on the motions; video dreamed and a policy trained on the demonstrations;
@@ -58,6 +58,18 @@ policy-seeds: $(foreach seed,1 2 3 4 5,policy-seeds-$(seed))
 
 policy-seeds-%: .venv/ready
 	$(MAKE) policy-tiny SEED=$* POLICY=$(MANY)/$* STORE=$(MANY)/runs NAME=policy-seeds-$*
+
+# The policy of policy-tiny that looks (sft.hidden), and the same gone on with changed scenes: both on the bench as it was, and with a sheet of
+# A4 paper on it that no demonstration has shown. Another robot: make policy-paper SEED=4 POLICY=runs/policy-seeds/4 STORE=runs/policy-seeds/runs.
+LOOKS = $(RUN)/edream train-policy $(PRACTICE) sft.hidden=0.5
+BEGUN = $(STORE)/sft/$$(sed -n 's/.*"sft": "\([0-9a-f]*\)".*/\1/p' $(STORE)/run-looks-$(SEED).json)
+GONE_ON = "evaluate.of=[\"sft\",\"sft sft.start=$(BEGUN) twins.changed=0.5 sft.train.steps=6000\"]"
+policy-paper: export OMP_NUM_THREADS = 1
+policy-paper: .venv/ready
+	test -f $(POLICY)/recorded.truth.json || { rm -rf $(POLICY)/recorded $(POLICY)/recorded.*; $(RUN)/edream record robot=arm6 task=grab_paper_cup record.episodes=50 record.out=$(POLICY)/recorded seed=$(SEED); }
+	$(LOOKS) 'evaluate.of=["sft"]' run=looks-$(SEED)
+	$(LOOKS) $(GONE_ON) run=policy-paper-$(SEED)
+	$(LOOKS) $(GONE_ON) evaluate.paper=horizontal run=policy-paper-horizontal-$(SEED)
 
 # The paper's table at the tiny size: four tasks, SFT with three views, SFT with one, RL with one; then the ablation: physics as published,
 # calibrated, and calibrated with the effects that diagnosis found, on a robot that hides three. Hours on 2 cores, but it can be stopped at any

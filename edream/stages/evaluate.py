@@ -142,9 +142,10 @@ def seen_by(about: PolicyAbout, look: CellLook) -> CellLook | None:
 
 
 def label(need: str) -> str:
-    """A policy as the table names it."""
+    """A policy as the table names it; of a path its last part."""
     name, *changes = need.split(" ")
-    return ", ".join([NAMES[name], *changes])
+    parts = (change.partition("=") for change in changes)
+    return ", ".join([NAMES[name], *(f"{key}{sign}{value.rsplit('/', 1)[-1]}" for key, sign, value in parts)])
 
 
 def row_of(name: str, about: PolicyAbout, outcomes: pa.Table) -> dict[str, Any]:

@@ -4,6 +4,7 @@ from typing import Any
 
 from edream.practice.rates import rate
 from edream.report.successes import Evaluated, beside, papers_share
+from edream.stages.evaluate import label
 
 PAPER = {"SFT, 3 views": 0.60, "SFT, 1 view": 0.49, "RL, 1 view": 0.77}
 
@@ -66,3 +67,8 @@ def test_the_paper_stands_beside_policies_of_its_kind_alone() -> None:
     theirs |= {"sft policy.cameras=[]": ("SFT, policy.cameras=[], no camera", None)}
     for policy, (name, share) in theirs.items():
         assert papers_share(policy, name, PAPER) == share, policy
+
+
+def test_a_policy_that_went_on_from_a_folder_is_named_after_the_folder_alone() -> None:
+    assert label("sft sft.start=/a/b/1b79 twins.changed=0.5") == "SFT, sft.start=1b79, twins.changed=0.5"
+    assert label("rl rl.rounds=2") == f"{label('rl')}, rl.rounds=2"
