@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from edream.core.parameters import targets_in
-from edream.diagnosis import decide, trials
+from edream.diagnosis import decide, trials, verdict
 from edream.diagnosis.candidates import Candidate
 from edream.diagnosis.trials import Trial, with_bold
 
@@ -83,3 +83,28 @@ class FitOf:
     scale: float = 1.0
     objective: object = None
     residual: object = None
+
+
+@pytest.mark.parametrize(("floors", "expected", "named"), [(1.0, "named", ["servo_gain"]), (6.0, "unnamed", [])])
+def test_strange_numbers_are_an_answer_only_where_nothing_is_left(
+    monkeypatch: pytest.MonkeyPatch, floors: float, expected: str, named: list[str]
+) -> None:
+    gain = verdict.Named("servo_gain", "another servo gain", ("tilt",), {}, {}, {}, 0.0, None, ())
+    errors = np.full(4, (floors * 1e-3) ** 2)
+    nothing = decide.Round(FitOf("usual", 1.0), errors, [], [], None)
+    for name, value in {
+        "published": lambda problem: None,
+        "fit_nuisance": lambda problem: FitOf("usual", 1.0),
+        "proof_errors": lambda problem, fit: errors,
+        "forward": lambda problem, fit, done: (fit, [nothing]),
+        "backward": lambda problem, fit, candidates: (fit, []),
+        "off_nominal": lambda problem, fit: [gain],
+        "polish": lambda fit: fit,
+        "find_suspects": lambda problem, fit, strange, done: [],
+        "find_remainder": lambda problem, fit, beside_names=False: None,
+    }.items():
+        monkeypatch.setattr(verdict, name, value)
+    problem = SimpleNamespace(floor=1e-3, robot=SimpleNamespace(joints=("pan", "tilt")), settings=SimpleNamespace(seed=0))
+    found = verdict.diagnose(problem)
+    assert found.verdict == expected and [one.name for one in found.effects] == named
+    assert ("servo gain" in found.sentence) is bool(named)
