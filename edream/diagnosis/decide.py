@@ -109,7 +109,7 @@ def settled(problem: Problem, errors: Float[np.ndarray, "M"], trials: Sequence[T
     best = [t for t in trials if t.sure and t.closed >= (BEHIND if short else NEAR) * most][:RIVALS]
     near = [t for t in best if is_brief(t.fit) or not passes(problem, t)]
     ends = [descend(replace(t.fit, scale=worth(t.fit.objective, t.fit.residual)), None, 4) for t in near]
-    if short and min(end.rms for end in ends) > (1.0 + VISIBLE) * problem.floor:
+    if short and all(end.rms > (1.0 + VISIBLE) * problem.floor for end in ends):
         ends = [polish(end) if number < SHAPES else end for number, end in enumerate(ends)]
     again = [judged(problem, end, errors, t) for end, t in zip(ends, near, strict=True)]
     better = [max(pair, key=lambda t: (passes(problem, t), t.closed)) for pair in zip(near, again, strict=True)]

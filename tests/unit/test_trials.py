@@ -74,6 +74,8 @@ def test_rivals_go_to_the_end_of_their_valleys_where_the_best_leaves_a_gap(
     found = decide.settled(problem, np.zeros(4), trials_)
     assert ended == polished and len(found) == 3
     assert found[-1].candidate.effect == "spring" and found[-1].closed == 0.3  # too far behind
+    doubtful = [replace(trial("delay", 0.8), sure=False), trial("spring", 0.3)]  # none that is sure comes near the best
+    assert decide.settled(problem, np.zeros(4), doubtful) == doubtful and ended == polished
 
 
 @dataclass(frozen=True)
