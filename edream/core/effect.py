@@ -69,6 +69,8 @@ class Effect(ABC):
         of_type: whether its numbers belong to a type of hardware, so that joints of one type may share them, rather than to one
             assembly, as a zero offset does.
         rough: whether its error has many valleys, so that a descent needs a search before it.
+        local: whether it acts around one place of the joint's travel, so that its probes lie where the motions went;
+            `probes` then gets a model whose joints range as far as those.
         phase: the quantity that is a phase [rad], or None. Its probes then come in pairs, at phase 0 and at a quarter turn.
         of_position_servo: whether it acts on what a servo makes of a commanded position, and so not under torque or speed commands.
         special: a simpler effect that this one is where one of its quantities has a certain value: (effect, quantity, value).
@@ -81,6 +83,7 @@ class Effect(ABC):
     hook: Hook | None = None
     late: int = 0
     rough: bool = False
+    local: bool = False
     phase: str | None = None
     of_type: bool = True
     of_position_servo: bool = False

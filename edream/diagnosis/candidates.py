@@ -37,9 +37,9 @@ def placement(problem: Problem, candidate: Candidate) -> Placement:
 
 
 def probes_of(problem: Problem, place: Placement) -> list[dict[str, float]]:
-    """Small versions of an effect for the score test, placed where the motions went, inside the box of what is searched."""
+    """Small versions of an effect for the score test, inside the box of what is searched; of a local one where the motions went."""
     boxes = {p.name: (p.low, p.high) for p in place.effect.parameters(problem.robot.model, place.targets)}
-    probes = place.effect.probes(problem.narrowed, place.targets)
+    probes = place.effect.probes(problem.narrowed if place.effect.local else problem.robot.model, place.targets)
     return [{name: float(np.clip(value, *boxes[name])) for name, value in probe.items()} for probe in probes]
 
 

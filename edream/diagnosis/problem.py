@@ -110,7 +110,7 @@ class Problem:
 
     @cached_property
     def narrowed(self) -> mujoco.MjModel:
-        """The robot's model, each joint's range where the fitted motions went: for effects that ask where a joint moves."""
+        """The robot's model, each joint's range where the fitted motions went: for effects that act at one place of its travel."""
         model = copy.copy(self.robot.model)
         for column, name in enumerate(self.fitted[0].episode.joints):
             visited = np.concatenate([window.measured[:, column] for window in self.fitted])

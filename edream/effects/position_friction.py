@@ -36,6 +36,7 @@ class PositionFriction(Effect):
     place = "joint"
     confusable = ("load_friction", "cogging")
     of_type = False
+    local = True
     hook = staticmethod(position_friction)
 
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
