@@ -23,6 +23,7 @@ from edream.diagnosis.rough import rough_candidates, searched
 from edream.diagnosis.screen import (
     ENOUGH,
     Scored,
+    acts_already,
     extend,
     finalists,
     fits_beside,
@@ -165,8 +166,11 @@ def test_a_group_one_of_whose_joints_has_the_effect_is_not_tried(problem: Proble
     tied = replace(problem, groups=(("pan", "tilt"),), settings=replace(problem.settings, effects=("presliding", "load_friction")))
     has, absent = extend(fit, [placement(tied, Candidate("presliding", ("tilt",)))])
     tried = [one.candidate for one in screen(tied, begin(has, has.simulated.space.to_unit(absent)))]
-    assert Candidate("load_friction", ("pan", "tilt")) in tried
+    assert Candidate("presliding", ("pan",)) in tried
     assert not [one for one in tried if one.effect == "presliding" and "tilt" in one.targets]
+    there = has.simulated.placements
+    assert acts_already(Candidate("presliding", ("pan", "tilt")), there)
+    assert not acts_already(Candidate("load_friction", ("pan", "tilt")), there)
 
 
 def test_the_sentence_says_all_joints_rather_than_their_names() -> None:
