@@ -239,12 +239,15 @@ def test_two_processes_of_torchrun_train_one_policy_and_one_of_them_does_the_res
 def test_training_goes_on_from_a_policy_in_a_folder_and_refuses_one_of_another_form(made, recorded: Path, tmp_path: Path) -> None:
     write_bundle(made[1]["rl"], tmp_path / "bundle", 9.0)
     on = (f"sft.start={tmp_path / 'bundle'}", "sft.train.steps=2", "sft.train.rate=1e-9", "sft.hidden=0.5")
-    begun = pipeline.make("sft", settings(recorded, Path(made[0].runs), *on))["policy.safetensors"]
+    first = pipeline.make("sft", settings(recorded, Path(made[0].runs), *on))
+    same = (f"sft.start={made[1]['rl'].path('policy.json').parent}", *on[1:])
+    assert pipeline.make("sft", settings(recorded, Path(made[0].runs), *same)).key == first.key, "the same policy, elsewhere"
+    begun = first["policy.safetensors"]
     before = made[1]["rl"]["policy.safetensors"]
     assert begun.keys() == before.keys() and all(np.allclose(begun[name], before[name], atol=1e-6) for name in before)
     other = pipeline.make("sft", made[0])["policy.safetensors"]
     assert not all(np.allclose(begun[name], other[name], atol=1e-6) for name in before), "the comparison must be able to fail"
     with pytest.raises(EdreamError, match=r"sft\.start=.*bundle holds a policy with shape"):
         pipeline.make("sft", settings(recorded, Path(made[0].runs), *on, "policy.chunk=40"))
-    with pytest.raises(EdreamError, match=r"policy\.json is no policy"):
+    with pytest.raises(EdreamError, match=r"nothing at .*policy\.(json|safetensors)"):
         pipeline.make("sft", settings(recorded, Path(made[0].runs), f"sft.start={tmp_path}"))

@@ -196,8 +196,11 @@ def needs(config: SftConfig) -> tuple[str, ...]:
 def sources(config: SftConfig) -> Mapping[str, Source]:
     """The robot, and the tracks of objects where the policy sees them."""
     found: dict[str, Any] = {"robot": config.robot.content()}
-    files = {"objects": config.policy.objects, "start": config.sft.start}
-    return found | {name: path for name, path in files.items() if path is not None}
+    if config.policy.objects is not None:
+        found["objects"] = config.policy.objects
+    if (start := config.sft.start) is not None:  # what is read of it, so that the same weights elsewhere train nothing anew
+        found |= {"start weights": start / WEIGHTS, "start about": start / ABOUT}
+    return found
 
 
 ENTRY = Stage("sft", 1, needs, SftConfig, run, sources, ("torch", "numpy"), follow)
