@@ -17,7 +17,7 @@ WHOLE = experiment=tiny seed=1 runs=$(DEMO)/runs $(REPRODUCE)
 MOTIONS = robot=arm6 data=$(DEMO)/motions ingest.fps=50
 DEMOS = robot=arm6_working data=$(DEMO)/demos ingest.fps=25 camera.file=$(DEMO)/demos.cameras.json render.scene=$(DEMO)/demos.scene.json
 TASK = task=grab_paper_cup rollouts.plate=$(DEMO)/demos.plate.png masks.plate=$(DEMO)/demos.plate.png
-CHANGED := "sft twins.changed=0.5"
+CHANGED := "sft sft.change.share=0.5"
 reproduce: .venv/ready
 	test -f $(DEMO)/demos.truth.json || { rm -rf $(DEMO)/demos $(DEMO)/demos.*; $(RUN)/edream record $(WHOLE) task=grab_paper_cup "record.effects=[$(HIDDEN)]" record.out=$(DEMO)/demos; }
 	test -f $(DEMO)/motions.truth.json || { rm -rf $(DEMO)/motions; $(RUN)/edream record $(WHOLE) record.truth=$(DEMO)/demos.truth.json record.out=$(DEMO)/motions; }
@@ -77,14 +77,16 @@ policy-paper: .venv/ready
 TABLE := runs/policy-table
 TASKS ?= grab_paper_cup put_pen_in_cup put_remote_in_box put_cup_on_mat
 ROWS ?= ["sft policy.cameras=[cam_high,cam_side,wrist] sft.twins=false","sft","rl"]
-PHYSICS ?= ["sft","rl rollouts.model=published rank.margin=0.01","rl rank.margin=0.01","rl rollouts.model=diagnose rank.margin=0.01"]
+PHYSICS ?= ["sft","rl rollouts.model=published","rl","rl rollouts.model=diagnose"]
 LEARN = $(RUN)/edream train-policy robot=arm6_working ingest.fps=25 seed=1 runs=$(TABLE)/runs rollouts.eyes=composite sft.twins=true rank.margin=1 'policy.cameras=[cam_high]'
 define demonstrated  # task, folder, further settings
 	test -f $(2).truth.json || { rm -rf $(2) $(2).*; $(RUN)/edream record robot=arm6 task=$(1) record.episodes=50 record.out=$(2) seed=1 $(3); }
 endef
 VIEWS := 'record.cell.cameras=[cam_high,cam_side,wrist]'
-HIDES := 'record.effects=[encoder_offset,load_friction,actuator_delay]'
-SOUGHT := 'diagnose.effects=[payload,load_friction,stribeck,constant_torque,encoder_offset,actuator_delay]' diagnose.most=3
+HIDES := 'record.effects=[gear_ratio,load_friction,actuator_delay]'
+SOUGHT := 'diagnose.effects=[payload,load_friction,stribeck,gear_ratio,actuator_delay]' diagnose.most=3
+MOVED = $(TABLE)/$*-hiding-motions
+ON_MOTIONS = 'rollouts.physics="data=$(MOVED) ingest.fps=50"'
 BESIDE = data=$(1) camera.file=$(1).cameras.json rollouts.plate=$(1).plate.png render.scene=$(1).scene.json
 policy-table: $(TASKS:%=policy-table-%)
 	$(RUN)/edream report --whole policy-table runs=$(TABLE)/runs
@@ -98,7 +100,8 @@ policy-physics: $(TASKS:%=policy-physics-%)
 
 policy-physics-%: .venv/ready
 	$(call demonstrated,$*,$(TABLE)/$*-hiding,$(HIDES))
-	$(LEARN) task=$* $(call BESIDE,$(TABLE)/$*-hiding) $(SOUGHT) 'evaluate.of=$(PHYSICS)' run=policy-physics-$*
+	test -f $(MOVED).truth.json || { rm -rf $(MOVED); $(RUN)/edream record robot=arm6 record.truth=$(TABLE)/$*-hiding.truth.json record.out=$(MOVED) seed=1; }
+	$(LEARN) task=$* $(call BESIDE,$(TABLE)/$*-hiding) $(SOUGHT) $(ON_MOTIONS) rank.margin=0.01 'evaluate.of=$(PHYSICS)' run=policy-physics-$*
 
 bench-dream: .venv/ready
 	$(RUN)/python -m benchmarks.bench_dream

@@ -18,7 +18,7 @@ PATHS = frozenset(
     {"data", "runs", "robot.mjcf", "record.out", "record.truth", "replay.hook", "camera.file", "camera.marks", "render.scene"}
     | {"masks.plate", "masks.truth", "masks.folder", "masks.weights", "dream.codec.weights", "dream.denoiser.weights"}
     | {"score.weights.lpips", "score.weights.fvd"}
-    | {"policy.objects", "rollouts.plate", "twins.folder", "evaluate.truth"}
+    | {"policy.objects", "rollouts.plate", "sft.change.folder", "evaluate.truth"}
 )
 # settings that hold names of the user's own, such as fit.fixed={servo_gain.kp: 18}; Hydra adds to them only where told so
 OPEN = ("fit.fixed", "fit.limits", "fit.scaled", "robot.scaled", "surrogate.options", "masks.options", "dream.codec.options") + (

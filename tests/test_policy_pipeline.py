@@ -35,7 +35,7 @@ SMALL = [
     "sft.batch=8",
     "sft.held=0.34",
     "sft.twins=true",
-    "twins.changed=0.5",
+    "sft.change.share=0.5",
     "rollouts.eyes=composite",
     "rollouts.model=published",
     "rollouts.starts=2",
@@ -223,7 +223,11 @@ def test_what_is_wrong_for_a_late_stage_is_told_before_anything_is_made(
 @pytest.mark.slow
 def test_two_processes_of_torchrun_train_one_policy_and_one_of_them_does_the_rest(made, recorded: Path) -> None:
     asked = words(
-        recorded, Path(str(made[0].runs)), "rl.rounds=1", 'evaluate.of=[sft,"sft sft.twins=false",rl]', "evaluate.films=0"
+        recorded,
+        Path(str(made[0].runs)),
+        "rl.rounds=1",
+        'evaluate.of=[sft,"sft sft.twins=false sft.change.share=0",rl]',
+        "evaluate.films=0",
     )
     command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node=2", "--no-python", sys.executable]
     command += ["-c", "from edream.cli import main; main()", "train-policy", "--json", *asked]

@@ -14,7 +14,21 @@ from edream.diagnosis.left_out import bootstrap, is_brief, left_out_errors
 from edream.diagnosis.problem import Problem
 from edream.diagnosis.rough import rough_candidates, searched
 from edream.diagnosis.screen import Scored, extend, screen
-from edream.diagnosis.trials import HALF, SHAPES, Trial, arrived, as_published, beside, judged, refit, try_best, with_bold
+from edream.diagnosis.trials import (
+    HALF,
+    HOPELESS,
+    SHAPED,
+    SHAPES,
+    Trial,
+    arrived,
+    as_published,
+    beside,
+    fresh_columns,
+    judged,
+    refitted,
+    try_best,
+    with_bold,
+)
 from edream.sim.least_squares import worth
 
 MATERIAL = 0.05  # of the gap at first, in root-mean-square error, that a further effect must close
@@ -81,7 +95,8 @@ def first_that_stands(problem: Problem, fit: Fit, passing: Sequence[Trial]) -> t
     """
     left = list(passing)
     while (taken := simplest(problem, left)) is not None:
-        ended = polish(arrived(problem, fit, taken))
+        here = taken.fit.ended and leaves_no_gap(problem, taken.fit)
+        ended = taken.fit if here else polish(arrived(problem, fit, taken))
         if stands(problem, taken.candidate, ended):
             return taken, ended
         left.remove(taken)
@@ -105,15 +120,30 @@ def settled(problem: Problem, errors: Float[np.ndarray, "M"], trials: Sequence[T
     """
     most = max((t.closed for t in trials), default=0.0)
     leads = next((t for t in trials if t.sure), None)
-    short = leads is not None and is_brief(leads.fit) and leads.fit.rms > (1.0 + VISIBLE) * problem.floor
+    short = leads is not None and is_brief(leads.fit) and not leaves_no_gap(problem, leads.fit)
     best = [t for t in trials if t.sure and t.closed >= (BEHIND if short else NEAR) * most][:RIVALS]
     near = [t for t in best if is_brief(t.fit) or not passes(problem, t)]
     ends = [descend(replace(t.fit, scale=worth(t.fit.objective, t.fit.residual)), None, 4) for t in near]
-    if short and all(end.rms > (1.0 + VISIBLE) * problem.floor for end in ends):
-        ends = [polish(end) if number < SHAPES else end for number, end in enumerate(ends)]
+    if short and not any(leaves_no_gap(problem, end) for end in ends):
+        ends = to_their_ends(problem, ends)
     again = [judged(problem, end, errors, t) for end, t in zip(ends, near, strict=True)]
     better = [max(pair, key=lambda t: (passes(problem, t), t.closed)) for pair in zip(near, again, strict=True)]
     return sorted([*better, *(t for t in trials if t not in near)], key=lambda t: -t.closed)
+
+
+def to_their_ends(problem: Problem, fits: Sequence[Fit]) -> list[Fit]:
+    """The fits, the nearest ones gone down to the end of their valleys; once one leaves no gap, only those that are near it."""
+    found, arrived_one = list(fits), False
+    for number in np.argsort([fit.rms for fit in fits], kind="stable")[:SHAPES].tolist():
+        if not arrived_one or fits[number].rms <= SHAPED * problem.floor:
+            found[number] = polish(fits[number])
+            arrived_one |= leaves_no_gap(problem, found[number])
+    return found
+
+
+def leaves_no_gap(problem: Problem, fit: Fit) -> bool:
+    """Whether a fit is as near the motions that it was fitted to as one can tell."""
+    return fit.rms <= (1.0 + VISIBLE) * problem.floor
 
 
 def restarted(problem: Problem, errors: Float[np.ndarray, "M"], trials: Sequence[Trial]) -> list[Trial]:
@@ -122,7 +152,7 @@ def restarted(problem: Problem, errors: Float[np.ndarray, "M"], trials: Sequence
     One of them may be what closes the gap, and have been lost where numbers that make up for the whole effect led it.
     """
     best = next((t for t in trials if passes(problem, t)), None)
-    if best is None or best.fit.rms <= (1.0 + VISIBLE) * problem.floor:
+    if best is None or leaves_no_gap(problem, best.fit):
         return list(trials)
     bare = without(best.fit, best.candidate)
     near = [t for t in trials if t is not best and t.sure and t.closed >= ALIKE * best.closed][:SHAPES]
@@ -211,9 +241,12 @@ def with_confusable(
     known = {name for name, effect in every.items() if name in own.confusable or own.name in effect.confusable}
     tried = {t.candidate.effect for t in trials}
     twins = {s.candidate.effect: s for s in reversed(scored) if s.candidate.effect in known and s.candidate.effect not in tried}
+    most = 1.0 - (best.fit.rms / fit.rms) ** 2
     more = []
     for one in twins.values():
-        more.append(refit(problem, fit, errors, one))
+        begun = refitted(problem, fit, one, iterations=2)
+        if 1.0 - (begun.rms / fit.rms) ** 2 >= HOPELESS * most:
+            more.append(judged(problem, descend(begun, fresh_columns(fit, begun.objective), 4), errors, one))
         done(1)
     return sorted([*trials, *more], key=lambda t: -t.closed)
 

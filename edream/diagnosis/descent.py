@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 from scipy.optimize import lsq_linear
 
 from edream.core.parameters import ParameterSpace
-from edream.sim.differences import STEP, jacobian, jacobian_along_axes, nearly, straight
+from edream.sim.differences import STEP, blocks, jacobian, jacobian_along_axes, nearly, straight
 from edream.sim.least_squares import worth
 from edream.sim.objective import Objective, rms
 from edream.sim.window import Window
@@ -31,6 +31,7 @@ class Fit:
         residual: there [rad], (R,).
         jacobian: d residual / d unit, (R, P).
         scale: the noise [rad] that one residual row is worth, which weighs the priors.
+        ended: whether it was gone down to the end, as `polish` does, where intervals are true.
     """
 
     objective: Objective
@@ -38,6 +39,7 @@ class Fit:
     residual: Float[np.ndarray, "R"]
     jacobian: Float[np.ndarray, "R P"]
     scale: float
+    ended: bool = False
 
     @property
     def space(self) -> ParameterSpace:
@@ -151,7 +153,8 @@ def descend(fit: Fit, fresh: Bool[np.ndarray, "P"] | None = None, iterations: in
             if doubted or iterations < PATIENT:
                 break
             # no step helps: with a Jacobian that was carried along, that says little
-            fit, doubted = replace(fit, jacobian=jacobian(fit.objective, fit.space, fit.unit, fit.residual)), True
+            slope = jacobian(fit.objective, fit.space, fit.unit, fit.residual)
+            fit, doubted = replace(fit, jacobian=slope, ended=False), True
             continue
         doubted = False
         fit = _moved(fit, unit, residual, fresh)
@@ -166,7 +169,8 @@ def polish(fit: Fit, iterations: int = 5) -> Fit:
     Differences go along the principal axes of the last Jacobian, and steps straight in the parameters' own units. What joints do to
     each other comes in when steps without it have come to their end.
     """
-    for apart in (True, False):
+    parts = len(blocks(fit.objective.acts_on))
+    for apart in (True, False) if parts > 1 else (False,):
         for _ in range(iterations):
             slope = jacobian_along_axes(fit.objective, fit.unit, fit.hessian(), apart)
             fit = replace(fit, jacobian=slope, scale=worth(fit.objective, fit.residual))
@@ -179,7 +183,7 @@ def polish(fit: Fit, iterations: int = 5) -> Fit:
             fit = replace(fit, unit=unit, residual=residual)
             if before - after < LITTLE:
                 break
-    return fit
+    return replace(fit, ended=True)
 
 
 def _tried(fit: Fit, units: Float[np.ndarray, "N P"]) -> list[tuple[float, np.ndarray, np.ndarray]]:
@@ -200,4 +204,4 @@ def _moved(fit: Fit, unit: np.ndarray, residual: np.ndarray, fresh: np.ndarray |
         chosen = np.flatnonzero(fresh)
         moved = fit.objective.residuals(fit.space.from_unit(unit + np.diag(steps)[chosen]))
         jac[:, chosen] = ((moved - residual) / steps[chosen, None]).T
-    return replace(fit, unit=unit, residual=residual, jacobian=jac, scale=worth(fit.objective, residual))
+    return replace(fit, unit=unit, residual=residual, jacobian=jac, scale=worth(fit.objective, residual), ended=False)

@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -53,6 +53,11 @@ class Seen:
     def to(self, device: torch.device | str) -> "Seen":
         """The same elsewhere."""
         return Seen(self.joints.to(device), self.images.to(device), self.state.to(device))
+
+    def without_joints(self, hidden: Bool[Tensor, "B"] | None = None) -> "Seen":
+        """The same with the joints of some samples (of all where None) at their mean, which tells nothing."""
+        keep = torch.zeros(len(self), dtype=torch.bool) if hidden is None else ~hidden
+        return replace(self, joints=self.joints * keep[:, None].to(self.joints.device))
 
 
 class FittedPolicy(nn.Module, ABC):

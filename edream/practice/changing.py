@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from edream.core.errors import EdreamError, require
+from edream.practice.worlds import over
 from edream.vision.frames import resized
 
 ENDINGS = (".png", ".jpg", ".jpeg")
@@ -16,25 +17,57 @@ EVEN = 0.15  # of an image's height: light and dark that is wider is the room's
 
 
 @dataclass(frozen=True)
-class TwinOptions:
-    """How the twins of demonstrations differ from them; see `conf/twins/default.yaml` for each.
+class Change:
+    """How the scenes of training images are changed; see `conf/sft/default.yaml` for each.
 
     Attributes:
-        copies: twins of each demonstration.
-        changed: share of the twins' images whose scene is changed, each by itself: no scene tells of its demonstration.
+        share: share of the samples whose scene is changed, each by itself: no scene tells of its demonstration.
         folder: photos to take as backgrounds, or None to lay a flat patch onto the photo of the bench.
         colour: relative spread of the colours of the things in changed scenes.
     """
 
-    copies: int = 1
-    changed: float = 0.0
+    share: float = 0.0
     folder: Path | None = None
     colour: float = 0.1
 
     def __post_init__(self) -> None:
-        require(self.copies >= 1, "twins.copies", self.copies, "at least 1")
-        require(0.0 <= self.changed <= 1.0, "twins.changed", self.changed, "a share, 0 to 1")
-        require(self.colour >= 0.0, "twins.colour", self.colour, "0 or more")
+        require(0.0 <= self.share <= 1.0, "sft.change.share", self.share, "a share, 0 to 1")
+        require(self.colour >= 0.0, "sft.change.colour", self.colour, "0 or more")
+
+
+@dataclass(frozen=True, eq=False)
+class Scenes:
+    """What scenes are changed into.
+
+    Attributes:
+        change: how much, and how often.
+        plate: the photo of the empty bench, in the size of the policy's images.
+        others: photos to take as backgrounds instead of it.
+    """
+
+    change: Change
+    plate: UInt8[np.ndarray, "H W 3"]
+    others: Sequence[UInt8[np.ndarray, "H W 3"]]
+
+    def changed(
+        self,
+        images: UInt8[np.ndarray, "B 1 H W 3"],
+        cover: UInt8[np.ndarray, "B 1 H W"],
+        things: UInt8[np.ndarray, "B 1 H W"],
+        rng: np.random.Generator,
+    ) -> UInt8[np.ndarray, "B 1 H W 3"]:
+        """The images, of some the background and the colours of the things changed; robot and things stay where they were.
+
+        Args:
+            cover: how much of each pixel robot and things cover, 0..255.
+            things: how much of it the things cover.
+        """
+        out = images.copy()
+        for row in np.flatnonzero(rng.random(len(images)) < self.change.share):
+            background = changed_background(self.plate, self.others, rng)
+            gain = 1.0 + self.change.colour * rng.standard_normal(3)
+            out[row, 0] = over(background, tinted(images[row, 0], things[row, 0], gain), cover[row, 0])
+        return out
 
 
 def photos(folder: Path | None, height: int, width: int) -> list[UInt8[np.ndarray, "H W 3"]]:
@@ -49,7 +82,7 @@ def photos(folder: Path | None, height: int, width: int) -> list[UInt8[np.ndarra
     found = [cv2.imread(str(path), cv2.IMREAD_COLOR) for path in files]
     kept = [resized(np.ascontiguousarray(one[..., ::-1]), height, width) for one in found if one is not None]
     if not kept:
-        raise EdreamError(f"There is no photo in {folder}; twins.folder needs some in {', '.join(ENDINGS)}.")
+        raise EdreamError(f"There is no photo in {folder}; sft.change.folder needs some in {', '.join(ENDINGS)}.")
     return kept
 
 

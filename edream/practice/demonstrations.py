@@ -1,7 +1,7 @@
 """Demonstrations: recorded episodes as what was seen and what was commanded at each control step."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +12,7 @@ from edream.core.episode import Episode, Video
 from edream.core.errors import EdreamError, unknown_name
 from edream.learn.policy import Seen
 from edream.practice.about import PolicyAbout
+from edream.practice.changing import Scenes
 from edream.practice.shaking import Shake, shaken
 from edream.vision.frames import resized
 
@@ -26,6 +27,7 @@ class Demonstration:
         actions: commands from each step on, likewise.
         images: (T, V, H, W, 3) uint8; V may be 0.
         state: further numbers that are seen, (T, S).
+        masks: how much of each pixel robot and things cover, and the things alone, (T, 2, V, H, W), 0..255; None where unknown.
     """
 
     name: str
@@ -33,6 +35,7 @@ class Demonstration:
     actions: Float[np.ndarray, "T A"]
     images: np.ndarray
     state: Float[np.ndarray, "T S"]
+    masks: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.joints)
@@ -145,6 +148,7 @@ class ChunkBatches:
         about: the policy's scales and its chunk.
         part: which part of a batch is this process' own, and how many there are; each part has chances of its own.
         hidden: share of the samples of a batch whose joints are hidden.
+        scenes: what scenes are changed into, or None to leave them; every demonstration then has masks.
     """
 
     demonstrations: Sequence[Demonstration]
@@ -154,6 +158,7 @@ class ChunkBatches:
     shake: Shake | None = None
     part: tuple[int, int] = (0, 1)
     hidden: float = 0.0
+    scenes: Scenes | None = None
 
     def at(self, step: int) -> tuple[Seen, torch.Tensor, Bool[torch.Tensor, "B H"], torch.Generator]:
         """The batch of a training step: what is seen, the actions (B, H, A), which of them are no padding, and a generator."""
@@ -167,15 +172,17 @@ class ChunkBatches:
             places, rng = places[own::parts], np.random.default_rng((self.seed, 0xD3, step, own))
         seen, actions, valid = self.of(places, rng)
         if self.hidden:
-            shown = torch.from_numpy(rng.random(len(places)) >= self.hidden)
-            seen = replace(seen, joints=seen.joints * shown[:, None])  # in units of their spread about their mean
+            seen = seen.without_joints(torch.from_numpy(rng.random(len(places)) < self.hidden))
         return seen, actions, valid, torch.Generator().manual_seed(int(rng.integers(2**62)))
 
     def of(
         self, places: Sequence[tuple[int, int]], rng: np.random.Generator | None = None
     ) -> tuple[Seen, torch.Tensor, Bool[torch.Tensor, "B H"]]:
-        """The samples at some places: number of the demonstration and its step; shaken where `rng` is given."""
+        """The samples at some places: number of the demonstration and its step; changed and shaken where `rng` is given."""
         images = np.stack([self.demonstrations[n].images[t] for n, t in places])
+        if self.scenes is not None and rng is not None:
+            cover, things = np.stack([one.masks[t] for n, t in places if (one := self.demonstrations[n]).masks is not None], axis=1)
+            images = self.scenes.changed(images, cover, things, rng)
         if self.shake is not None and rng is not None and images.shape[1]:
             images = shaken(images, self.shake, rng)
         joints = np.stack([self.demonstrations[n].joints[t] for n, t in places])

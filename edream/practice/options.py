@@ -7,6 +7,7 @@ from typing import Any
 
 from edream.core.errors import require
 from edream.learn.training import Schedule
+from edream.practice.changing import Change
 from edream.practice.shaking import Shake
 
 
@@ -61,6 +62,7 @@ class SftOptions:
         twins: whether every demonstration is also learned as the simulator's eyes see it, before the photo `rollouts.plate`, its
             robot as measured and its things as tracked (`render.scene`); so that trials there are no strange sight.
         start: folder of a policy to go on from (a bundle, or an artifact of sft or rl), or None to begin with weights from chance.
+        change: how the scenes of training images are changed, recorded ones and twins alike.
         hidden: share of the training samples whose measured joints are hidden (at their mean), so that the policy looks: where the
             arm is already tells most of where a demonstration is going, and of that a policy must not learn to be content.
     """
@@ -73,10 +75,12 @@ class SftOptions:
     shake: Shake = field(default_factory=Shake)
     twins: bool = False
     start: Path | None = None
+    change: Change = field(default_factory=Change)
     hidden: float = 0.0
 
     def __post_init__(self) -> None:
         for name in ("batch", "checkpoint", "apart"):
             require(getattr(self, name) >= 1, f"sft.{name}", getattr(self, name), "at least 1")
+        require(self.twins or not self.change.share, "sft.twins", self.twins, "true where scenes are changed (sft.change.share)")
         require(0.0 <= self.hidden < 1.0, "sft.hidden", self.hidden, "a share, 0 or more and below 1")
         require(0.0 < self.held < 1.0, "sft.held", self.held, "a share between 0 and 1")

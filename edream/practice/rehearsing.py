@@ -31,6 +31,8 @@ class RolloutOptions:
 
     Attributes:
         model: whose physics: fit, diagnose or published.
+        physics: settings under which that is made, such as "data=motions ingest.fps=50": motions made for it tell more of a robot
+            than its demonstrations do. Empty for the recordings that the policy learns from.
         eyes: what the policy is shown: raw, composite, dreamed or state (nothing but numbers).
         starts: how many starts, each of which is tried `samples` times.
         first: number of the first start.
@@ -44,6 +46,7 @@ class RolloutOptions:
     """
 
     model: Literal["fit", "diagnose", "published"] = "fit"
+    physics: str = ""
     eyes: Literal["raw", "composite", "dreamed", "state"] = "raw"
     starts: int = 300
     first: int = 10000
@@ -56,11 +59,18 @@ class RolloutOptions:
     plate: Path | None = None
 
     def __post_init__(self) -> None:
+        named = all("=" in word for word in self.physics.split())
+        require(named, "rollouts.physics", repr(self.physics), "settings NAME=VALUE with a blank between two")
         require(self.starts >= 1, "rollouts.starts", self.starts, "at least 1")
         require(self.samples >= 2, "rollouts.samples", self.samples, "at least 2, for one to be better than another")
         require(self.shard >= 1, "rollouts.shard", self.shard, "at least 1")
         require(self.draws >= 0, "rollouts.draws", self.draws, "0 or more")
         require(0.0 <= self.grip < 1.0, "rollouts.grip", self.grip, "a share, 0 to below 1")
+
+    @property
+    def need(self) -> str:
+        """What the physics comes from: a stage, and the settings under which it is made."""
+        return " ".join([self.model, *self.physics.split()])
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +84,7 @@ class Physics:
 
 def needs_of(options: RolloutOptions) -> tuple[str, ...]:
     """Stages that trials with this physics and these eyes need."""
-    physics = () if options.model == "published" else (options.model,)
+    physics = () if options.model == "published" else (options.need,)
     if options.eyes == "composite":
         return (*physics, "camera") if options.plate else (*physics, "camera", "masks")
     return (*physics, "camera", "condition", "dream") if options.eyes == "dreamed" else physics
@@ -121,8 +131,8 @@ def physics_for(
         EdreamError: something else than a fit is to be drawn from.
     """
     if options.draws and options.model == "fit":
-        return drawn_physics(robot, inputs["fit"], settings, options, folder, seed)
-    one = physics_of(robot, inputs.get(options.model), folder)
+        return drawn_physics(robot, inputs[options.need], settings, options, folder, seed)
+    one = physics_of(robot, inputs.get(options.need), folder)
     rng = np.random.default_rng((seed, 0xF18))
     return [replace(one, grip=float(1.0 + options.grip * rng.uniform(-1.0, 1.0))) for _ in range(options.draws)] or [one]
 

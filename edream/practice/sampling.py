@@ -11,10 +11,11 @@ from edream.core.errors import EdreamError
 from edream.core.scene import Scene
 from edream.learn.policy import PolicyShape, Scale
 from edream.practice.about import PolicyAbout
+from edream.practice.changing import Scenes, photos
 from edream.practice.demonstrations import Demonstration, View, chosen_cameras, demonstration, rate_of, step_times
-from edream.practice.options import PolicyOptions
+from edream.practice.options import PolicyOptions, SftOptions
 from edream.practice.trial import state_of
-from edream.practice.twins import twin_of
+from edream.practice.twins import covered, twin_of
 from edream.vision.scene_file import read_scene
 
 
@@ -41,21 +42,29 @@ def demonstrations(
 
 
 def with_twins(taught: Sequence[tuple[int, Demonstration]], twins: Mapping[str, Any] | None, folder: Path) -> list[Demonstration]:
-    """Demonstrations, and beside them their twins where there are any.
+    """Demonstrations, and beside them their twins where there are any; then all know where robot and things are in their images.
 
     Args:
         taught: each with its number in the data set.
         twins: file name -> arrays, as the stage twins made it.
-        folder: takes the twins' images.
+        folder: takes the twins' images, and the masks.
     """
-    plain = [one for _, one in taught]
     if twins is None:
-        return plain
-    found = []
+        return [one for _, one in taught]
+    plain, seen = [], []
     for number, one in taught:
-        for name in sorted(file for file in twins if file.startswith(f"images/{number:06d}-")):
-            found.append(twin_of(one, twins[name]["images"], folder / f"twin-{Path(name).stem}.npy"))
-    return plain + found
+        twin = twins[f"twins/{number:06d}.safetensors"]
+        plain.append(covered(one, twin, folder / f"masks-{number:06d}.npy"))
+        seen.append(twin_of(plain[-1], twin["images"], folder / f"twin-{number:06d}.npy"))
+    return plain + seen
+
+
+def scenes_of(twins: Mapping[str, Any] | None, options: SftOptions) -> Scenes | None:
+    """What scenes are changed into in training; None where they are left as they are."""
+    if twins is None or not options.change.share:
+        return None
+    plate = twins["plate.safetensors"]["plate"]
+    return Scenes(options.change, plate, photos(options.change.folder, *plate.shape[:2]))
 
 
 def tracked(scene: Scene, episode: Episode, options: PolicyOptions) -> np.ndarray | None:

@@ -1,16 +1,16 @@
 """Twins of demonstrations: the same motion of the same things, as the simulator's eyes see it."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import UInt8
 
 from edream.core.camera import Camera
 from edream.core.episode import Episode
 from edream.core.errors import EdreamError
 from edream.core.scene import Scene
-from edream.practice.changing import tinted
 from edream.practice.demonstrations import Demonstration, step_times
 from edream.practice.options import PolicyOptions
 from edream.practice.worlds import over
@@ -26,26 +26,32 @@ def twin_images(
     eye: SimulationCamera,
     scene: Scene,
     options: PolicyOptions,
-    dressed: Callable[[], tuple[np.ndarray, np.ndarray]],
-) -> np.ndarray:
-    """The measured robot and the tracked things before a photo of the bench, at each control step, (T, 1, H, W, 3).
+    plate: UInt8[np.ndarray, "h w 3"],
+) -> dict[str, np.ndarray]:
+    """The measured robot and the tracked things before a photo of the bench, at each control step.
 
-    Args:
-        dressed: the background of the next step, and the factor of each colour channel of the things, (3,).
+    Returns:
+        "images", (T, 1, H, W, 3); how much of each pixel robot and things "cover", and the "things" alone, (T, 1, H, W), 0..255.
 
     Raises:
         EdreamError: nothing was tracked in this episode.
     """
     if not scene.at(episode.name, 0.0):
         raise EdreamError(f"render.scene has no track of any object in episode {episode.name!r}, which sft.twins needs.")
-    rows = []
+    rows: dict[str, list[np.ndarray]] = {"images": [], "cover": [], "things": []}
     for joints, time in zip(demonstration.joints, step_times(episode, options.rate), strict=True):
         seen = eye.see(dict(zip(order, joints, strict=True)), scene.at(episode.name, float(time)))
         share = np.maximum(seen.robot, seen.object)
-        plate, gain = dressed()
-        colour = tinted(seen.colour, seen.object, gain)
-        rows.append(resized(over(plate, colour, share), options.height, options.width)[None])
-    return np.stack(rows)
+        views = {"images": over(plate, seen.colour, share), "cover": share, "things": seen.object}
+        for name, view in views.items():
+            rows[name].append(resized(view, options.height, options.width)[None])
+    return {name: np.stack(one) for name, one in rows.items()}
+
+
+def covered(demonstration: Demonstration, twin: Mapping[str, np.ndarray], path: Path) -> Demonstration:
+    """A demonstration that knows where robot and things are in its images; the masks lie in a new file."""
+    np.save(path, np.stack([twin["cover"], twin["things"]], axis=1))
+    return replace(demonstration, masks=np.load(path, mmap_mode="r", allow_pickle=False))
 
 
 def twin_of(demonstration: Demonstration, images: np.ndarray, path: Path) -> Demonstration:

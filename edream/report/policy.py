@@ -84,7 +84,9 @@ def _supervised(losses: Mapping[str, Any]) -> Figure:
             np.arange(width, len(taught) + 1), np.convolve(taught, np.ones(width) / width, "valid"), color=COMMAND, label="training"
         )
         held = losses["heldout"]
-        axis.plot([one["step"] for one in held], [one["l1"] for one in held], "o-", color=AFTER, label="held out, L1")
+        for name, label, line in (("l1", "held out, L1", "o-"), ("hidden", "held out, joints hidden, L1", "o--")):
+            if name in held[0]:
+                axis.plot([one["step"] for one in held], [one[name] for one in held], line, color=AFTER, label=label)
         log_scale(axis)
         axis.set(xlabel="training step [1]", ylabel="loss [spreads of the actions]")
         canvas.legend(loc="outside upper left", ncols=2)

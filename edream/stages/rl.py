@@ -28,7 +28,7 @@ from edream.practice.learning import Drawn, Lessons, Played, RlOptions, referenc
 from edream.practice.options import PolicyOptions, SftOptions
 from edream.practice.ranking import require_pairs
 from edream.practice.rehearsing import RolloutOptions, calm, cell_of, needs_of, physics_for, shards_of, sources_of
-from edream.practice.sampling import demonstrations, held_out, with_twins
+from edream.practice.sampling import demonstrations, held_out, scenes_of, with_twins
 from edream.vision.variants import DreamOptions
 
 HISTORY = "history.json"
@@ -208,8 +208,10 @@ def _demonstrations(inputs: Mapping[str, Artifact], about: PolicyAbout, config: 
         return ChunkBatches([], about, config.sft.batch, config.seed)
     made, _, _ = demonstrations(episodes, about.order, config.policy, folder)
     held = held_out(len(made), config.sft.held, config.seed)
-    taught = with_twins([(n, one) for n, one in enumerate(made) if n not in held], inputs.get("twins"), folder)
-    return ChunkBatches(taught, about, config.sft.batch, config.seed, config.sft.shake, hidden=config.sft.hidden)
+    twins, sft = inputs.get("twins"), config.sft
+    taught = with_twins([(n, one) for n, one in enumerate(made) if n not in held], twins, folder)
+    scenes = scenes_of(twins, sft)
+    return ChunkBatches(taught, about, sft.batch, config.seed, sft.shake, hidden=sft.hidden, scenes=scenes)
 
 
 def _tensors(weights: Mapping[str, np.ndarray]) -> dict[str, torch.Tensor]:
@@ -218,7 +220,9 @@ def _tensors(weights: Mapping[str, np.ndarray]) -> dict[str, torch.Tensor]:
 
 def sources(config: RlConfig) -> Mapping[str, Source]:
     found: dict[str, Any] = {"robot": config.robot.content(), **sources_of(config.rollouts)}
+    if config.sft.change.folder is not None:
+        found["change"] = config.sft.change.folder
     return found | ({"objects": config.policy.objects} if config.policy.objects else {})
 
 
-ENTRY = Stage("rl", 2, needs, RlConfig, run, sources, ("mujoco", "torch", "numpy"))
+ENTRY = Stage("rl", 3, needs, RlConfig, run, sources, ("mujoco", "torch", "numpy"))

@@ -26,7 +26,7 @@ from edream.practice.about import ABOUT, WEIGHTS, PolicyAbout
 from edream.practice.bundle import going_on
 from edream.practice.demonstrations import ChunkBatches, Demonstration
 from edream.practice.options import PolicyOptions, SftOptions
-from edream.practice.sampling import about_of, demonstrations, held_out, with_twins
+from edream.practice.sampling import about_of, demonstrations, held_out, scenes_of, with_twins
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class Trainer:
 
     Attributes:
         taught: the demonstrations; `batches` of them and of their twins.
-        judge: the held-out ones, whose names are `held`; and their twins, where these show changed scenes.
+        judge: the held-out ones, whose names are `held`; and their twins, where scenes are changed.
     """
 
     config: SftConfig
@@ -81,11 +81,11 @@ class Trainer:
         about = about if start is None else going_on(about, start)
         weights = None if start is None else read_weights(start / WEIGHTS)
         twins = inputs.get("twins")
+        scenes, size = scenes_of(twins, config.sft), config.sft.batch
         seen = with_twins(taught, twins, folder)
-        batches = ChunkBatches(seen, about, config.sft.batch, config.seed, config.sft.shake, hidden=config.sft.hidden)
+        batches = ChunkBatches(seen, about, size, config.seed, config.sft.shake, hidden=config.sft.hidden, scenes=scenes)
         # changed scenes are there to be met, so how a policy does in them counts, too
-        changed = twins is not None and twins["summary.json"]["changed"] > 0.0
-        judge = ChunkBatches(with_twins(kept, twins if changed else None, folder), about, config.sft.batch, config.seed)
+        judge = ChunkBatches(with_twins(kept, twins if scenes else None, folder), about, size, config.seed, scenes=scenes)
         network = about.network(weights, config.seed).to(device_of(config.policy.device, "policy.device"))
         names = tuple(sorted(made[number].name for number in held))
         return cls(config, about, network, tuple(one for _, one in taught), batches, judge, names)
@@ -122,8 +122,8 @@ def run(inputs: Mapping[str, Artifact], config: SftConfig, work: Work) -> Bundle
     with deterministic():
         trainer = Trainer.of(inputs, config, work.folder("images"))
         pieces = _trained(trainer, work)
-    curve = [{"step": one["told.json"]["step"], "l1": one["told.json"]["l1"]} for one in pieces]
-    best = min(range(len(pieces)), key=lambda i: (curve[i]["l1"], i))
+    curve = [{name: value for name, value in one["told.json"].items() if name != "losses"} for one in pieces]
+    best = min(range(len(pieces)), key=lambda i: (judged(curve[i], config.sft.hidden), i))
     weights = {name: value.numpy() for name, value in part(pieces[best]["state.safetensors"], AVERAGE).items()}
     about = replace(trainer.about, spread=max(float(curve[best]["l1"]), 1e-3))
     steps = sum(len(one) for one in trainer.taught)
@@ -158,11 +158,16 @@ def _trained(trainer: Trainer, work: Work) -> Sequence[Artifact]:
             state, losses = trainer.piece(begun, first, last, together)
             fill(trainer.network, part(state, AVERAGE), "The average")
             device = next(trainer.network.parameters()).device
-            told = {"step": last, "losses": losses, "l1": heldout_l1(trainer.network, trainer.judge, options, device)}
+            told = {"step": last, "losses": losses, **heldout_l1(trainer.network, trainer.judge, options, device)}
             return {"state.safetensors": state, "told.json": told}
 
         pieces.append(work.shards(f"train-{first:07d}", [pieces[-1] if pieces else None], piece, parallel=False)[0])
     return pieces
+
+
+def judged(point: Mapping[str, float], hidden: float) -> float:
+    """The held-out error by which weights are kept: with joints and without, in the proportion of the training."""
+    return point["l1"] if not hidden else (1.0 - hidden) * point["l1"] + hidden * point["hidden"]
 
 
 def follow(inputs: Mapping[str, Artifact], config: SftConfig, folder: Path) -> None:
@@ -174,18 +179,26 @@ def follow(inputs: Mapping[str, Artifact], config: SftConfig, folder: Path) -> N
 
 
 @torch.no_grad()
-def heldout_l1(network: FittedPolicy, judge: ChunkBatches, options: SftOptions, device: torch.device) -> float:
-    """Mean absolute error of z = 0 on held-out demonstrations, over steps that are no padding, in normalised units."""
+def heldout_l1(network: FittedPolicy, judge: ChunkBatches, options: SftOptions, device: torch.device) -> dict[str, float]:
+    """Mean absolute error of z = 0 on held-out demonstrations, over steps that are no padding, in normalised units.
+
+    Returns:
+        "l1" with everything to be seen; where training hides joints also "hidden", the same without them: a policy may follow
+        recorded joints and hardly look, which the first alone would reward.
+    """
     network.eval()
-    places = judge.every(options.apart)
-    total, count = 0.0, 0.0
+    places, rng = judge.every(options.apart), np.random.default_rng((judge.seed, 0x5CE))  # of changed scenes, the same each time
+    total, count = np.zeros(2), 0.0
     for first in range(0, len(places), 64):
-        seen, actions, valid = judge.of(places[first : first + 64])
+        seen, actions, valid = judge.of(places[first : first + 64], rng)
+        shown = [seen, seen.without_joints()] if options.hidden else [seen]
         weight = float(valid.sum())
-        total += weight * float(masked_l1(network.chunk(seen.to(device)), actions.to(device), valid.to(device)))
+        errors = [float(masked_l1(network.chunk(one.to(device)), actions.to(device), valid.to(device))) for one in shown]
+        total += weight * np.array([errors[0], errors[-1]])
         count += weight
     network.train()
-    return total / max(count, 1.0)
+    plain, blind = total / max(count, 1.0)
+    return {"l1": float(plain)} | ({"hidden": float(blind)} if options.hidden else {})
 
 
 def needs(config: SftConfig) -> tuple[str, ...]:
@@ -198,9 +211,11 @@ def sources(config: SftConfig) -> Mapping[str, Source]:
     found: dict[str, Any] = {"robot": config.robot.content()}
     if config.policy.objects is not None:
         found["objects"] = config.policy.objects
+    if config.sft.change.folder is not None:
+        found["change"] = config.sft.change.folder
     if (start := config.sft.start) is not None:  # what is read of it, so that the same weights elsewhere train nothing anew
         found |= {"start weights": start / WEIGHTS, "start about": start / ABOUT}
     return found
 
 
-ENTRY = Stage("sft", 1, needs, SftConfig, run, sources, ("torch", "numpy"), follow)
+ENTRY = Stage("sft", 2, needs, SftConfig, run, sources, ("torch", "numpy"), follow)

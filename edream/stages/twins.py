@@ -11,11 +11,11 @@ from edream.core.camera import from_json
 from edream.core.errors import EdreamError
 from edream.core.stage import Artifact, Bundle, Source, Stage, Work
 from edream.ingest.stored import stored_episodes
-from edream.practice.changing import TwinOptions, changed_background, photos
 from edream.practice.options import PolicyOptions
 from edream.practice.rehearsing import plate_of
 from edream.practice.sampling import demonstrations
 from edream.practice.twins import eye_of, twin_images
+from edream.vision.frames import resized
 from edream.vision.scene_file import read_scene
 
 
@@ -41,7 +41,6 @@ class TwinsConfig:
     policy: PolicyOptions
     render: Tracked
     rollouts: Photographed
-    twins: TwinOptions
 
 
 def run(inputs: Mapping[str, Artifact], config: TwinsConfig, work: Work) -> Bundle:
@@ -55,32 +54,18 @@ def run(inputs: Mapping[str, Artifact], config: TwinsConfig, work: Work) -> Bund
         raise EdreamError(f"sft.twins is for policies with the one camera {name!r}, not {', '.join(cameras) or 'none'}.")
     eye = eye_of(robot, camera, scene, plate)
 
-    others = photos(config.twins.folder, *plate.shape[:2])
+    def one(number: int, rng: np.random.Generator) -> Bundle:
+        return {"twin.safetensors": twin_images(episodes[number], made[number], robot.joints, eye, scene, config.policy, plate)}
 
-    def one(turn: tuple[int, int], rng: np.random.Generator) -> Bundle:
-        number, _ = turn
-
-        def dressed() -> tuple[np.ndarray, np.ndarray]:
-            if rng.random() >= config.twins.changed:
-                return plate, np.ones(3)
-            return changed_background(plate, others, rng), 1.0 + config.twins.colour * rng.standard_normal(3)
-
-        images = twin_images(episodes[number], made[number], robot.joints, eye, scene, config.policy, dressed)
-        return {"images.safetensors": {"images": images}}
-
-    turns = [(number, copy) for number in range(len(episodes)) for copy in range(config.twins.copies)]
     try:
-        shards = work.shards("episodes", turns, one, parallel=False)
+        shards = work.shards("episodes", range(len(episodes)), one, parallel=False)
     finally:
         eye.close()
-    kept = {
-        f"images/{n:06d}-{copy}.safetensors": shard.path("images.safetensors")
-        for (n, copy), shard in zip(turns, shards, strict=True)
-    }
-    frames = config.twins.copies * sum(len(demonstration) for demonstration in made)
-    sentence = f"{len(made)} demonstrations seen {config.twins.copies} times by the simulator, {frames} images"
-    changed = f", {100 * config.twins.changed:.0f} % of them with another scene." if config.twins.changed else "."
-    return {**kept, "summary.json": {"sentence": sentence + changed, "changed": config.twins.changed}}
+    kept = {f"twins/{number:06d}.safetensors": shard.path("twin.safetensors") for number, shard in enumerate(shards)}
+    bench = resized(plate, config.policy.height, config.policy.width)
+    frames = sum(len(demonstration) for demonstration in made)
+    sentence = f"{len(made)} demonstrations as the simulator sees them, {frames} images."
+    return {**kept, "plate.safetensors": {"plate": bench}, "summary.json": {"sentence": sentence}}
 
 
 def seen_beside(config: TwinsConfig) -> tuple[Path, Path]:
@@ -96,8 +81,7 @@ def seen_beside(config: TwinsConfig) -> tuple[Path, Path]:
 
 def sources(config: TwinsConfig) -> Mapping[str, Source]:
     scene, plate = seen_beside(config)
-    files = {"scene": scene, "plate": plate, "folder": config.twins.folder}
-    return {"robot": config.robot.content()} | {name: path for name, path in files.items() if path is not None}
+    return {"robot": config.robot.content(), "scene": scene, "plate": plate}
 
 
-ENTRY = Stage("twins", 2, ("ingest", "camera"), TwinsConfig, run, sources, ("mujoco", "numpy"))
+ENTRY = Stage("twins", 3, ("ingest", "camera"), TwinsConfig, run, sources, ("mujoco", "numpy"))

@@ -15,10 +15,10 @@ from edream.core.camera import pinhole
 from edream.core.episode import Episode
 from edream.core.errors import EdreamError
 from edream.core.scene import Scene
-from edream.practice.changing import changed_background, photos, tinted
+from edream.practice.changing import Change, Scenes, changed_background, photos, tinted
 from edream.practice.demonstrations import Demonstration
 from edream.practice.dreaming import Dreaming, open_dreamed
-from edream.practice.options import PolicyOptions
+from edream.practice.options import PolicyOptions, SftOptions
 from edream.practice.rehearsing import RolloutOptions, calm, drawn_values, needs_of, shards_of
 from edream.practice.trial import Chance
 from edream.practice.twins import eye_of, twin_images
@@ -129,7 +129,7 @@ def test_a_changed_scene_has_a_patch_in_the_bench_s_own_light_or_another_photo(t
     cv2.imwrite(str(tmp_path / "a.png"), np.full((64, 64, 3), (10, 20, 30), np.uint8))
     others = photos(tmp_path, 32, 40)
     assert np.array_equal(changed_background(plate, others, rng), np.full((32, 40, 3), (30, 20, 10), np.uint8))
-    with pytest.raises(EdreamError, match=r"twins\.folder"):
+    with pytest.raises(EdreamError, match=r"sft\.change\.folder"):
         photos(tmp_path / "none", 32, 40)
     thing = np.zeros((32, 40), np.uint8)
     thing[:4] = 255
@@ -137,16 +137,34 @@ def test_a_changed_scene_has_a_patch_in_the_bench_s_own_light_or_another_photo(t
     assert (tinted(plate, thing, np.array([0.5, 1.0, 1.0]))[:4, :, 0] < plate[:4, :, 0]).all()
 
 
-def test_each_image_of_a_twin_has_a_scene_of_its_own() -> None:
+def test_a_twin_comes_with_masks_and_a_changed_scene_leaves_robot_and_things_where_they_are() -> None:
     times = np.arange(6) / 10.0
     episode = Episode("one", ("a",), times, np.zeros((6, 1)), times, np.zeros((6, 1)))
     shown = Demonstration("one", np.zeros((6, 1)), np.zeros((6, 1)), np.zeros((6, 1, 16, 16, 3), np.uint8), np.zeros((6, 0)))
-    black = SimpleNamespace(colour=np.zeros((16, 16, 3), np.uint8), robot=np.zeros((16, 16), np.uint8), object=np.zeros((16, 16)))
-    eye = SimpleNamespace(see=lambda joints, things: black)
+    robot, thing = np.zeros((16, 16), np.uint8), np.zeros((16, 16), np.uint8)
+    robot[:4], thing[4:8] = 255, 255
+    seen = SimpleNamespace(colour=np.full((16, 16, 3), 90, np.uint8), robot=robot, object=thing)
+    eye = SimpleNamespace(see=lambda joints, things: seen)
     scene = SimpleNamespace(at=lambda name, time: {"cup": np.zeros(7)})
-    scenes = ((np.full((16, 16, 3), number, np.uint8), np.ones(3)) for number in range(6))
-    images = twin_images(episode, shown, ("a",), eye, scene, PolicyOptions(height=16, width=16), lambda: next(scenes))
-    assert images.shape == (6, 1, 16, 16, 3) and images[:, 0, 0, 0, 0].tolist() == [0, 1, 2, 3, 4, 5]
+    plate = np.full((16, 16, 3), 200, np.uint8)
+    twin = twin_images(episode, shown, ("a",), eye, scene, PolicyOptions(height=16, width=16), plate)
+    assert twin["images"].shape == (6, 1, 16, 16, 3) and twin["cover"].shape == twin["things"].shape == (6, 1, 16, 16)
+    assert (twin["images"][:, 0, :8] == 90).all() and (twin["images"][:, 0, 8:] == 200).all()
+    scenes = Scenes(Change(share=0.5, colour=0.3), plate, [np.full((16, 16, 3), number, np.uint8) for number in (10, 20)])
+    many = {name: np.concatenate([one] * 20) for name, one in twin.items()}
+    out = scenes.changed(many["images"], many["cover"], many["things"], np.random.default_rng(1))
+    assert (out[:, 0, :4] == 90).all()
+    behind = out[:, 0, 12, 0, 0]
+    assert set(behind.tolist()) == {10, 20, 200} and 0.35 < (behind != 200).mean() < 0.65
+    tints = out[behind != 200][:, 0, 5, 0].astype(int)
+    assert len({tuple(row) for row in tints.tolist()}) > 20 and (out[behind == 200] == many["images"][behind == 200]).all()
+    again = scenes.changed(many["images"], many["cover"], many["things"], np.random.default_rng(1))
+    assert np.array_equal(out, again) and (many["images"][:, 0, 8:] == 200).all()
+
+
+def test_scenes_cannot_change_where_nothing_says_what_is_scene() -> None:
+    with pytest.raises(EdreamError, match=r"sft\.twins"):
+        SftOptions(change=Change(share=0.5))
 
 
 def test_films_show_failures_and_successes_in_turn() -> None:

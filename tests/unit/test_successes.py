@@ -70,5 +70,5 @@ def test_the_paper_stands_beside_policies_of_its_kind_alone() -> None:
 
 
 def test_a_policy_that_went_on_from_a_folder_is_named_after_the_folder_alone() -> None:
-    assert label("sft sft.start=/a/b/1b79 twins.changed=0.5") == "SFT, sft.start=1b79, twins.changed=0.5"
+    assert label("sft sft.start=/a/b/1b79 sft.change.share=0.5") == "SFT, sft.start=1b79, sft.change.share=0.5"
     assert label("rl rl.rounds=2") == f"{label('rl')}, rl.rounds=2"

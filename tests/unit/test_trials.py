@@ -40,13 +40,16 @@ def test_larger_models_are_tried_boldly_from_far_off_where_nothing_closes_half(
 
 
 def test_what_does_not_stand_at_the_end_of_its_search_gives_way_to_the_next(monkeypatch: pytest.MonkeyPatch) -> None:
-    limit, spring = _trial("torque_speed_limit", 0.9), _trial("spring", 0.7)
+    limit, spring = (replace(_trial(name, 0.9), fit=FitOf(name, 2.0)) for name in ("torque_speed_limit", "spring"))
     monkeypatch.setattr(decide, "simplest", lambda problem, left: left[0] if left else None)
     monkeypatch.setattr(decide, "arrived", lambda problem, fit, taken: taken.candidate.effect)
     monkeypatch.setattr(decide, "polish", lambda fit: fit)
     monkeypatch.setattr(decide, "stands", lambda problem, candidate, ended: candidate.effect == "spring")
     assert decide.first_that_stands(None, "before", [limit, spring]) == (spring, "spring")
     assert decide.first_that_stands(None, "before", [limit]) == (None, "before")
+    monkeypatch.setattr(decide, "polish", lambda fit: pytest.fail("it is at its end already"))
+    there = replace(spring, fit=FitOf("spring", 1.0, ended=True))
+    assert decide.first_that_stands(SimpleNamespace(floor=1.0), "before", [there]) == (there, there.fit)
 
 
 def test_the_joints_of_a_number_are_told_by_whole_names() -> None:
@@ -54,9 +57,11 @@ def test_the_joints_of_a_number_are_told_by_whole_names() -> None:
     assert targets_in("joint_coupling.stiffness[joint10<-joint2]") == {"joint10", "joint2"}
 
 
-@pytest.mark.parametrize(("left", "polished"), [(2.0, ["delay", "lag"]), (1.0, [])])
+@pytest.mark.parametrize(
+    ("left", "end", "polished"), [(2.0, 1.5, ["delay", "lag"]), (2.0, 0.9, ["delay"]), (1.4, 0.9, ["delay", "lag"]), (1.0, 0.9, [])]
+)
 def test_rivals_go_to_the_end_of_their_valleys_where_the_best_leaves_a_gap(
-    monkeypatch: pytest.MonkeyPatch, left: float, polished: list[str]
+    monkeypatch: pytest.MonkeyPatch, left: float, end: float, polished: list[str]
 ) -> None:
     def trial(name: str, closed: float) -> Trial:
         fit = FitOf(name, left)
@@ -67,7 +72,7 @@ def test_rivals_go_to_the_end_of_their_valleys_where_the_best_leaves_a_gap(
     monkeypatch.setattr(decide, "passes", lambda problem, t: True)
     monkeypatch.setattr(decide, "worth", lambda objective, residual: 1.0)
     monkeypatch.setattr(decide, "descend", lambda fit, fresh, iterations: fit)
-    monkeypatch.setattr(decide, "polish", lambda fit: ended.append(fit.name) or replace(fit, rms=0.9))
+    monkeypatch.setattr(decide, "polish", lambda fit: ended.append(fit.name) or replace(fit, rms=end))
     monkeypatch.setattr(decide, "judged", lambda problem, fit, errors, t: replace(t, fit=fit, closed=1.0 / fit.rms))
     problem = SimpleNamespace(floor=1.0)
     trials_ = [trial("delay", 0.8), trial("lag", 0.5), trial("spring", 0.3)]
@@ -85,6 +90,7 @@ class FitOf:
     scale: float = 1.0
     objective: object = None
     residual: object = None
+    ended: bool = False
 
 
 @pytest.mark.parametrize(("floors", "expected", "named"), [(1.0, "named", ["servo_gain"]), (6.0, "unnamed", [])])
