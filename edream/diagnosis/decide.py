@@ -23,8 +23,9 @@ from edream.diagnosis.trials import (
     arrived,
     as_published,
     beside,
-    fresh_columns,
+    gone_on,
     judged,
+    on_few,
     refitted,
     try_best,
     with_bold,
@@ -241,12 +242,12 @@ def with_confusable(
     known = {name for name, effect in every.items() if name in own.confusable or own.name in effect.confusable}
     tried = {t.candidate.effect for t in trials}
     twins = {s.candidate.effect: s for s in reversed(scored) if s.candidate.effect in known and s.candidate.effect not in tried}
-    most = 1.0 - (best.fit.rms / fit.rms) ** 2
+    few, most = on_few(fit), 1.0 - (best.fit.rms / fit.rms) ** 2
     more = []
     for one in twins.values():
-        begun = refitted(problem, fit, one, iterations=2)
-        if 1.0 - (begun.rms / fit.rms) ** 2 >= HOPELESS * most:
-            more.append(judged(problem, descend(begun, fresh_columns(fit, begun.objective), 4), errors, one))
+        begun = refitted(problem, few, one, iterations=2)
+        if 1.0 - (begun.rms / few.rms) ** 2 >= HOPELESS * most:
+            more.append(judged(problem, gone_on(fit, begun), errors, one))
         done(1)
     return sorted([*trials, *more], key=lambda t: -t.closed)
 

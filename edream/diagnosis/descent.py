@@ -11,6 +11,7 @@ from edream.core.parameters import ParameterSpace
 from edream.sim.differences import STEP, blocks, jacobian, jacobian_along_axes, nearly, straight
 from edream.sim.least_squares import worth
 from edream.sim.objective import Objective, rms
+from edream.sim.polish import coupled
 from edream.sim.window import Window
 
 STRETCH = 1.5  # s
@@ -167,10 +168,12 @@ def polish(fit: Fit, iterations: int = 5) -> Fit:
     """Go down to the end, also along a valley that is all but flat; the Jacobian at the end is fit for intervals.
 
     Differences go along the principal axes of the last Jacobian, and steps straight in the parameters' own units. What joints do to
-    each other comes in when steps without it have come to their end.
+    each other comes in when steps without it have come to their end, where it is more than a little.
     """
-    parts = len(blocks(fit.objective.acts_on))
-    for apart in (True, False) if parts > 1 else (False,):
+    groups = blocks(fit.objective.acts_on)
+    for apart in (True, False) if len(groups) > 1 else (False,):
+        if len(groups) > 1 and not apart and not coupled(fit.objective, groups, fit.unit, fit.residual, fit.hessian()):
+            break
         for _ in range(iterations):
             slope = jacobian_along_axes(fit.objective, fit.unit, fit.hessian(), apart)
             fit = replace(fit, jacobian=slope, scale=worth(fit.objective, fit.residual))

@@ -12,6 +12,7 @@ from edream.diagnosis.descent import Fit, begin, descend, stretches
 from edream.diagnosis.left_out import bootstrap, far_off, is_small, left_out_errors
 from edream.diagnosis.problem import Problem, nuisance_placements
 from edream.diagnosis.screen import (
+    ENOUGH,
     Scored,
     acts_already,
     extend,
@@ -71,17 +72,32 @@ def try_best(
     serious = [s for s in scored if s.share >= SERIOUS_SHARE]
     # one set of numbers for a hardware group rests on all its joints, which the test of single joints undervalues
     groups = [s for s in serious if len(s.candidate.targets) > 1][:GROUPS]
+    few = on_few(fit)
     begun = []
     for one in [*serious[:REFITTED], *(s for s in groups if s not in serious[:REFITTED])]:
-        begun.append((refitted(problem, fit, one, iterations=2), one))
+        begun.append((refitted(problem, few, one, iterations=2), one))
         done(1)
     begun.sort(key=lambda pair: pair[0].rms)
-    gained = [1.0 - (near.rms / fit.rms) ** 2 for near, _ in begun]
+    gained = [1.0 - (near.rms / few.rms) ** 2 for near, _ in begun]
     trials = []
     for (near, one), gain in zip(begun, gained, strict=True):
         if gain >= HOPELESS * gained[0] and len(trials) < FINISHED:
-            trials.append(judged(problem, descend(near, fresh_columns(fit, near.objective), iterations=4), errors, one))
+            trials.append(judged(problem, gone_on(fit, near), errors, one))
     return sorted(trials, key=lambda t: -t.closed)
+
+
+def on_few(fit: Fit) -> Fit:
+    """The fit on as much motion as shows which candidates are worth a search; on all of it, where that costs little."""
+    return fit if is_small(fit) else thinned(fit, ENOUGH)
+
+
+def gone_on(fit: Fit, near: Fit) -> Fit:
+    """A candidate's first steps beside `fit` taken on, on all of its motions; they may have been taken on a few."""
+    own = fresh_columns(fit, near.objective)
+    if len(near.residual) < len(fit.residual):
+        whole = replace(fit.objective, simulated=near.objective.simulated, simulations=0)
+        near = with_column(fit, whole, near.values)
+    return descend(near, own, iterations=4)
 
 
 def try_boldly(

@@ -99,7 +99,7 @@ def finish(objective: Any, values: Float[np.ndarray, "P"], iterations: int) -> S
         settled = number > 0 and gained < LITTLE
         if settled:
             break
-    apart = not _coupled(objective, groups, unit, residual, hessian)
+    apart = not coupled(objective, groups, unit, residual, hessian)
     if not (settled and apart and iterations):
         slope = jacobian_along_axes(objective, unit, hessian, apart)
     return Solution(space, space.from_unit(unit), residual, slope, settled, first, rms(residual))
@@ -144,7 +144,7 @@ def _step_by_blocks(
     return places[lowest], left[lowest]
 
 
-def _coupled(objective: Any, groups: Sequence[list[int]], unit: np.ndarray, residual: np.ndarray, hessian: np.ndarray) -> bool:
+def coupled(objective: Any, groups: Sequence[list[int]], unit: np.ndarray, residual: np.ndarray, hessian: np.ndarray) -> bool:
     """Whether what a block does to the joints of others is more than `COUPLED` of what it does to its own."""
     if len(groups) == 1:
         return False
