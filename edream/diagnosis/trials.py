@@ -28,6 +28,7 @@ from edream.sim.objective import Objective, rms
 from edream.sim.simulation import Placement, SimulatedRobot
 
 REFITTED, GROUPS, FINISHED = 8, 4, 6
+LIKELIEST = 3  # by the score test: they are refitted on whole motions even where candidates are tried boldly
 HOPELESS = 0.4  # of the best candidate's gain after two steps: those below are not refitted to the end
 FEW = 25.0  # s of motion on which larger models are tried boldly
 HALF = 0.5  # of the gap: a candidate that closes less of a real one may be a stand-in
@@ -68,7 +69,10 @@ def try_best(
     """Refit the candidates with the largest shares; best on left-out motions first."""
     if far_off(problem, fit) and is_small(fit):
         places = [*{s.candidate.effect: s for s in reversed(scored)}.values(), *overlooked(problem, fit, scored)]
-        return try_boldly(problem, fit, errors, places, done)
+        bold = try_boldly(problem, fit, errors, places, done)
+        # short stretches forget how friction was bent before them: what the score test points at is refitted on whole motions, too
+        lost = [s for s in scored[:LIKELIEST] if s.candidate not in [t.candidate for t in bold]]
+        return sorted([*bold, *(refit(problem, fit, errors, one) for one in lost)], key=lambda t: -t.closed)
     serious = [s for s in scored if s.share >= SERIOUS_SHARE]
     # one set of numbers for a hardware group rests on all its joints, which the test of single joints undervalues
     groups = [s for s in serious if len(s.candidate.targets) > 1][:GROUPS]

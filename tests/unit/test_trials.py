@@ -9,6 +9,7 @@ import pytest
 from edream.core.parameters import targets_in
 from edream.diagnosis import decide, trials, verdict
 from edream.diagnosis.candidates import Candidate
+from edream.diagnosis.screen import Scored
 from edream.diagnosis.trials import Trial, with_bold
 
 
@@ -37,6 +38,19 @@ def test_larger_models_are_tried_boldly_from_far_off_where_nothing_closes_half(
         ]  # the better of the two springs
     else:
         assert after == before
+
+
+def test_what_the_score_test_points_at_is_refitted_on_whole_motions_where_others_are_tried_boldly(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(trials, "is_small", lambda fit: True)
+    monkeypatch.setattr(trials, "far_off", lambda problem, fit: True)
+    monkeypatch.setattr(trials, "overlooked", lambda problem, fit, scored: [])
+    monkeypatch.setattr(trials, "try_boldly", lambda problem, fit, errors, places, done: [_trial("spring", 0.4)])
+    monkeypatch.setattr(trials, "refit", lambda problem, fit, errors, one: _trial(one.candidate.effect, 0.9))
+    scored = [Scored(Candidate(name, ("tilt",)), {}, 0.5) for name in ("presliding", "spring", "payload", "coulomb")]
+    found = trials.try_best(None, None, np.zeros(4), scored)
+    assert [(t.candidate.effect, t.closed) for t in found] == [("presliding", 0.9), ("payload", 0.9), ("spring", 0.4)]
 
 
 def test_what_does_not_stand_at_the_end_of_its_search_gives_way_to_the_next(monkeypatch: pytest.MonkeyPatch) -> None:
