@@ -2,14 +2,18 @@
 
 import base64
 from collections.abc import Mapping, Sequence
+from textwrap import fill
 from typing import Any
 
 import numpy as np
 from markupsafe import Markup
 from matplotlib.figure import Figure as Canvas
 
+from edream.practice.naming import brief
 from edream.report.page import AFTER, BEFORE, COMMAND, Figure, draw, log_scale, page
 from edream.report.recordings import about_recordings
+
+LABEL = 26  # characters in a line beside a figure
 
 
 def policy_page(made: Mapping[str, Mapping[str, Any]], robot: str) -> str:
@@ -27,7 +31,7 @@ def policy_page(made: Mapping[str, Mapping[str, Any]], robot: str) -> str:
     content = {
         "title": f"{summary['task']} on {robot}",
         "sentence": summary["sentence"],
-        "tiles": [(row["name"], f"{100 * row['success']['share']:.1f}", "% success") for row in rows]
+        "tiles": [(brief(row["name"]), f"{100 * row['success']['share']:.1f}", "% success") for row in rows]
         + [("starts", str(summary["starts"]), "each, the same for all")],
         "task": summary["task"],
         "rows": [_row(row) for row in rows],
@@ -67,12 +71,12 @@ def _rates(rows: Sequence[Mapping[str, Any]]) -> Figure:
                     reach = [[share - 100 * one["interval"][0]], [100 * one["interval"][1] - share]]
                     label = what if place == 0 else None
                     axis.errorbar([share], [place + shift], xerr=np.abs(reach), fmt="o", color=colour, capsize=3, label=label)
-        axis.set_yticks(range(len(rows)), [row["name"] for row in reversed(rows)])
+        axis.set_yticks(range(len(rows)), [fill(brief(row["name"]), LABEL) for row in reversed(rows)])
         axis.set(xlabel="share of starts [%]", xlim=(0, 100), ylim=(-0.6, len(rows) - 0.4))
         canvas.legend(loc="outside upper left", ncols=2)
 
     caption = "Share of starts with Wilson's 95 % interval; intervals that do not overlap tell two policies apart."
-    return draw("rates", "Success and grasp", caption, plot, (8.0, 1.2 + 0.6 * len(rows)), wide=True)
+    return draw("rates", "Success and grasp", caption, plot, (8.0, 1.4 + 0.7 * len(rows)), wide=True)
 
 
 def _supervised(losses: Mapping[str, Any]) -> Figure:
@@ -136,7 +140,7 @@ def _films(judged: Mapping[str, Any], outcomes: Mapping[tuple[str, int], bool], 
     for file in sorted(name for name in judged if name.startswith("films/") and name.endswith(".png")):
         number, _, start = file.removeprefix("films/").removesuffix(".png").partition("-")
         row = rows[int(number)]
-        title = f"{row['name']}: {'success' if outcomes[row['policy'], int(start)] else 'failure'}"
+        title = f"{brief(row['name'])}: {'success' if outcomes[row['policy'], int(start)] else 'failure'}"
         source = base64.b64encode(judged[file]).decode()
         drawing = Markup('<img class="pixels" alt="{}" src="data:image/png;base64,{}">').format(title, source)
         found.append(Figure(f"film-{number}-{int(start)}", title, f"Start {int(start)}.", drawing))

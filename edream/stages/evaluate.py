@@ -19,6 +19,7 @@ from edream.ingest.episode_file import write_episode
 from edream.practice.about import ABOUT, WEIGHTS, PolicyAbout
 from edream.practice.collecting import OUTCOMES, Manner, Player, Shard, collected, outcomes_of, split
 from edream.practice.film import episode_of, moving_picture
+from edream.practice.naming import NAMES, brief, label
 from edream.practice.rates import Paired, Rate, apart, paired, rate
 from edream.practice.rehearsing import require_task
 from edream.reality.cell_look import CellLook
@@ -26,8 +27,6 @@ from edream.reality.truth import Truth, unseal
 from edream.reality.workcell import RealWorkcell
 from edream.sim.camera import graphics
 from edream.sim.robot import RobotModel
-
-NAMES = {"sft": "SFT", "rl": "RL"}
 
 
 @dataclass(frozen=True)
@@ -141,13 +140,6 @@ def seen_by(about: PolicyAbout, look: CellLook) -> CellLook | None:
     return replace(look, cameras=about.cameras) if about.cameras else None
 
 
-def label(need: str) -> str:
-    """A policy as the table names it; of a path its last part."""
-    name, *changes = need.split(" ")
-    parts = (change.partition("=") for change in changes)
-    return ", ".join([NAMES[name], *(f"{key}{sign}{value.rsplit('/', 1)[-1]}" for key, sign, value in parts)])
-
-
 def row_of(name: str, about: PolicyAbout, outcomes: pa.Table) -> dict[str, Any]:
     """A policy's line of the table: rates with their intervals, and the distance to the target."""
     grasped = [one for one in outcomes["grasped"].to_pylist() if one is not None]
@@ -163,13 +155,13 @@ def row_of(name: str, about: PolicyAbout, outcomes: pa.Table) -> dict[str, Any]:
 
 def sentence(rows: Sequence[Mapping[str, Any]], beside: Paired | None = None) -> str:
     """The rates, and whether the first and the last can be told apart: by their intervals, and start by start."""
-    told = ", ".join(f"{row['name']} {_percent(row['success'])}" for row in rows)
+    told = ", ".join(f"{brief(row['name'])} {_percent(row['success'])}" for row in rows)
     text = f"Success in the stand-in reality over {rows[0]['success'].trials} starts: {told}."
     if len(rows) > 1:
         clear = apart(rows[0]["success"], rows[-1]["success"])
         text += " The intervals do not overlap." if clear else " The intervals overlap: this many starts do not tell them apart."
     if beside is not None:
-        one, other = rows[0]["name"], rows[-1]["name"]
+        one, other = brief(rows[0]["name"]), brief(rows[-1]["name"])
         text += f" {beside.first} starts were done by {one} alone, {beside.second} by {other} alone (p = {beside.chance:.2g})."
     return text
 
@@ -198,4 +190,4 @@ def sources(config: EvaluateConfig) -> Mapping[str, Source]:
     return {"robot": config.robot.content(), "truth": config.truth}
 
 
-ENTRY = Stage("evaluate", 1, needs, EvaluateConfig, run, sources, ("mujoco", "torch", "numpy", "scipy"))
+ENTRY = Stage("evaluate", 2, needs, EvaluateConfig, run, sources, ("mujoco", "torch", "numpy", "scipy"))

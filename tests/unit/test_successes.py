@@ -2,9 +2,9 @@
 
 from typing import Any
 
+from edream.practice.naming import brief, label
 from edream.practice.rates import rate
 from edream.report.successes import Evaluated, beside, papers_share
-from edream.stages.evaluate import label
 
 PAPER = {"SFT, 3 views": 0.60, "SFT, 1 view": 0.49, "RL, 1 view": 0.77}
 
@@ -71,4 +71,8 @@ def test_the_paper_stands_beside_policies_of_its_kind_alone() -> None:
 
 def test_a_policy_that_went_on_from_a_folder_is_named_after_the_folder_alone() -> None:
     assert label("sft sft.start=/a/b/1b79 sft.change.share=0.5") == "SFT, sft.start=1b79, sft.change.share=0.5"
+    assert label(f"sft sft.start=runs/sft/{'d4de8089dae' * 2}"[:-2]) == "SFT, sft.start=d4de80"
+    assert brief("SFT, 1 view") == "SFT, 1 view"
+    many = "SFT, sft.start=d4de80, sft.change.share=0.5, sft.train.steps=6000, 1 view"
+    assert brief(many) == "SFT, sft.start=d4de80, sft.change.share=0.5, ..., 1 view"
     assert label("rl rl.rounds=2") == f"{label('rl')}, rl.rounds=2"
