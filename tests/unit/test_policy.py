@@ -19,8 +19,10 @@ from edream.learn.training import Ahead, Schedule, new_state, train
 from edream.practice.collecting import Manner, Player, Shard, collected, outcomes_of, split
 from edream.practice.demonstrations import ChunkBatches, chunk_of
 from edream.practice.film import episode_of, film_of, moving_picture
+from edream.practice.options import SftOptions
 from edream.practice.shaking import Shake, shaken
 from edream.practice.trial import Chance, OwnEyes, Plans, play
+from edream.stages.sft import heldout_l1, judged
 from edream.store import Store
 from edream.work import StageWork
 from tests.toy_world import SIZE, SMALL, ToyWorld, about, demonstrated, kept, open_toy
@@ -220,3 +222,14 @@ def test_hidden_joints_are_hidden_in_their_share_of_samples_and_nothing_else_is(
     assert 0.4 < float(blank.float().mean()) < 0.6
     assert torch.equal(seen.joints[~blank], shown.joints[~blank])
     assert torch.equal(seen.images, shown.images) and torch.equal(seen.state, shown.state)
+
+
+def test_held_out_demonstrations_are_judged_without_joints_too_where_training_hides_them() -> None:
+    demos = [demonstrated(1, True), demonstrated(2, True)]
+    known = about(demos)
+    network, judge = known.network(seed=3), ChunkBatches(demos, known, 8, 3)
+    plain = heldout_l1(network, judge, SftOptions(), torch.device("cpu"))
+    both = heldout_l1(network, judge, SftOptions(hidden=0.25), torch.device("cpu"))
+    assert set(plain) == {"l1"} and both["l1"] == plain["l1"] and both["hidden"] != both["l1"]
+    assert judged({"l1": 0.2}, 0.0) == 0.2
+    assert judged({"l1": 0.2, "hidden": 0.4}, 0.25) == pytest.approx(0.25)

@@ -173,3 +173,12 @@ def test_films_show_failures_and_successes_in_turn() -> None:
     assert worth_seeing(table, 4) == [0, 1, 3, 5]
     assert worth_seeing(table, 6) == [0, 1, 2, 3, 4, 5]
     assert worth_seeing(table, 0) == []
+
+
+def test_physics_may_come_from_other_recordings() -> None:
+    elsewhere = RolloutOptions(model="diagnose", physics="data=motions ingest.fps=50")
+    assert elsewhere.need == "diagnose data=motions ingest.fps=50" and elsewhere.need in needs_of(elsewhere)
+    assert RolloutOptions(model="fit").need == "fit"
+    assert not needs_of(RolloutOptions(model="published", physics="data=motions"))
+    with pytest.raises(EdreamError, match=r"rollouts\.physics"):
+        RolloutOptions(physics="motions")
