@@ -63,7 +63,7 @@ policy-seeds-%: .venv/ready
 # A4 paper on it that no demonstration has shown. Another robot: make policy-paper SEED=4 POLICY=runs/policy-seeds/4 STORE=runs/policy-seeds/runs.
 LOOKS = $(RUN)/edream train-policy $(PRACTICE) sft.hidden=0.5
 BEGUN = $(STORE)/sft/$$(sed -n 's/.*"sft": "\([0-9a-f]*\)".*/\1/p' $(STORE)/run-looks-$(SEED).json)
-GONE_ON = "evaluate.of=[\"sft\",\"sft sft.start=$(BEGUN) sft.change.share=0.8 sft.train.steps=6000 sft.train.rate=0.0005 sft.train.average=0.998\"]"
+GONE_ON = "evaluate.of=[\"sft\",\"sft sft.start=$(BEGUN) sft.change.share=0.5 sft.train.steps=6000 sft.train.rate=0.0005 sft.train.average=0.998\"]"
 policy-paper: export OMP_NUM_THREADS = 1
 policy-paper: .venv/ready
 	test -f $(POLICY)/recorded.truth.json || { rm -rf $(POLICY)/recorded $(POLICY)/recorded.*; $(RUN)/edream record robot=arm6 task=grab_paper_cup record.episodes=50 record.out=$(POLICY)/recorded seed=$(SEED); }
