@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, UInt8
 
 from edream.core.episode import Episode, Video
 from edream.core.errors import EdreamError, unknown_name
@@ -39,6 +39,16 @@ class Demonstration:
 
     def __len__(self) -> int:
         return len(self.joints)
+
+    def masks_at(self, step: int) -> UInt8[np.ndarray, "2 V H W"]:
+        """The masks of a step.
+
+        Raises:
+            EdreamError: they are not known.
+        """
+        if self.masks is None:
+            raise EdreamError(f"Demonstration {self.name!r} has no masks; scenes can change only beside twins (sft.twins=true).")
+        return self.masks[step]
 
 
 @dataclass(frozen=True)
@@ -181,7 +191,7 @@ class ChunkBatches:
         """The samples at some places: number of the demonstration and its step; changed and shaken where `rng` is given."""
         images = np.stack([self.demonstrations[n].images[t] for n, t in places])
         if self.scenes is not None and rng is not None:
-            cover, things = np.stack([one.masks[t] for n, t in places if (one := self.demonstrations[n]).masks is not None], axis=1)
+            cover, things = np.stack([self.demonstrations[n].masks_at(t) for n, t in places], axis=1)
             images = self.scenes.changed(images, cover, things, rng)
         if self.shake is not None and rng is not None and images.shape[1]:
             images = shaken(images, self.shake, rng)

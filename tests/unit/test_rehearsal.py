@@ -163,6 +163,9 @@ def test_a_twin_comes_with_masks_and_a_changed_scene_leaves_robot_and_things_whe
 
 
 def test_scenes_cannot_change_where_nothing_says_what_is_scene() -> None:
+    bare = Demonstration("one", np.zeros((6, 1)), np.zeros((6, 1)), np.zeros((6, 1, 16, 16, 3), np.uint8), np.zeros((6, 0)))
+    with pytest.raises(EdreamError, match=r"'one' has no masks.*sft\.twins"):
+        bare.masks_at(0)
     with pytest.raises(EdreamError, match=r"sft\.twins"):
         SftOptions(change=Change(share=0.5))
 
