@@ -70,7 +70,7 @@ class RolloutOptions:
     @property
     def need(self) -> str:
         """What the physics comes from: a stage, and the settings under which it is made."""
-        return " ".join([self.model, *self.physics.split()])
+        return physics_need(self.model, self.physics)
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,6 +80,11 @@ class Physics:
     mjcf: str
     hook: Path | None
     grip: float
+
+
+def physics_need(model: str, physics: str) -> str:
+    """What a simulator's physics comes from: the stage `model`, and the settings `physics` under which it is made."""
+    return " ".join([model, *physics.split()])
 
 
 def needs_of(options: RolloutOptions) -> tuple[str, ...]:

@@ -93,6 +93,13 @@ def geared_readings(model: mujoco.MjModel, joints: Sequence[str]) -> dict[str, i
     return out
 
 
+def places(model: mujoco.MjModel, joints: Sequence[str], readings: Float[np.ndarray, "T J"]) -> Float[np.ndarray, "T J"]:
+    """Where joints stand [rad or m] when their encoders read this, which a gear at the encoder makes another number."""
+    gears = geared_readings(model, joints)
+    factor = [float(model.actuator_gear[gears[joint], 0]) if joint in gears else 1.0 for joint in joints]
+    return readings / np.array(factor)
+
+
 def damping_inside(model: mujoco.MjModel, targets: Sequence[str]) -> Parameter:
     """What share of a joint's damping is the servo's, and so within its limits: as published, give or take."""
     shares = []

@@ -1,7 +1,11 @@
-"""Twins: every demonstration once more, as the simulator's eyes see it: measured robot, tracked things, photographed background."""
+"""Twins: every demonstration once more, as the simulator's eyes see it: measured robot, tracked things, photographed background.
+
+Where trials take place in a diagnosed simulator the robot stands where that one has it: an encoder that counts otherwise, or from
+another zero, puts it elsewhere than the published model. A fit changes no place, so its twins are those of the published robot.
+"""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +16,10 @@ from edream.core.errors import EdreamError
 from edream.core.stage import Artifact, Bundle, Source, Stage, Work
 from edream.ingest.stored import stored_episodes
 from edream.practice.options import PolicyOptions
-from edream.practice.rehearsing import plate_of
+from edream.practice.rehearsing import physics_need, physics_of, plate_of
 from edream.practice.sampling import demonstrations
 from edream.practice.twins import eye_of, twin_images
+from edream.sim.servo import places
 from edream.vision.frames import resized
 from edream.vision.scene_file import read_scene
 
@@ -27,10 +32,28 @@ class Tracked:
 
 
 @dataclass(frozen=True)
-class Photographed:
-    """The bench without robot and things."""
+class Beside:
+    """The bench without robot and things, and whose simulator says where the robot stands.
+
+    Attributes:
+        plate: photo of the bench.
+        model: diagnose, or published for all others, so that twins are shared by these.
+        physics: settings under which the diagnosis is made.
+    """
 
     plate: Path | None = None
+    model: str = "fit"
+    physics: str = ""
+
+    def __post_init__(self) -> None:
+        if self.model != "diagnose":
+            object.__setattr__(self, "model", "published")
+            object.__setattr__(self, "physics", "")
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """The diagnosis, where it is one."""
+        return (physics_need(self.model, self.physics),) if self.model == "diagnose" else ()
 
 
 @dataclass(frozen=True)
@@ -40,13 +63,16 @@ class TwinsConfig:
     robot: RobotSettings
     policy: PolicyOptions
     render: Tracked
-    rollouts: Photographed
+    rollouts: Beside
 
 
 def run(inputs: Mapping[str, Artifact], config: TwinsConfig, work: Work) -> Bundle:
     """Render each episode at its control steps, from the recordings' camera."""
     tracks, photo = seen_beside(config)
-    robot, scene, plate = config.robot.load(), read_scene(tracks), plate_of(photo)
+    scene, plate = read_scene(tracks), plate_of(photo)
+    robot = config.robot.load()
+    for need in config.rollouts.needs:
+        robot = replace(robot, mjcf=physics_of(robot, inputs[need], work.folder("hook")).mjcf)
     (name, camera), *_ = from_json(inputs["camera"]["cameras.json"], "cameras.json").items()
     episodes = list(stored_episodes(inputs["ingest"]))
     made, cameras, _ = demonstrations(episodes, robot.joints, config.policy, work.folder("images"))
@@ -55,7 +81,8 @@ def run(inputs: Mapping[str, Artifact], config: TwinsConfig, work: Work) -> Bund
     eye = eye_of(robot, camera, scene, plate)
 
     def one(number: int, rng: np.random.Generator) -> Bundle:
-        return {"twin.safetensors": twin_images(episodes[number], made[number], robot.joints, eye, scene, config.policy, plate)}
+        standing = replace(made[number], joints=places(robot.model, robot.joints, made[number].joints))
+        return {"twin.safetensors": twin_images(episodes[number], standing, robot.joints, eye, scene, config.policy, plate)}
 
     try:
         shards = work.shards("episodes", range(len(episodes)), one, parallel=False)
@@ -79,9 +106,14 @@ def seen_beside(config: TwinsConfig) -> tuple[Path, Path]:
     return config.render.scene, config.rollouts.plate
 
 
+def needs(config: TwinsConfig) -> tuple[str, ...]:
+    """The recordings, their camera, and the diagnosis where that says where the robot stands."""
+    return ("ingest", "camera", *config.rollouts.needs)
+
+
 def sources(config: TwinsConfig) -> Mapping[str, Source]:
     scene, plate = seen_beside(config)
     return {"robot": config.robot.content(), "scene": scene, "plate": plate}
 
 
-ENTRY = Stage("twins", 3, ("ingest", "camera"), TwinsConfig, run, sources, ("mujoco", "numpy"))
+ENTRY = Stage("twins", 4, needs, TwinsConfig, run, sources, ("mujoco", "numpy"))

@@ -1,5 +1,6 @@
 """Trials in the simulated workcell: what the policy is shown there, and which physics it meets."""
 
+from dataclasses import asdict, replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -8,10 +9,11 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from edream import config, kinds
+from edream import catalog, config, kinds
 from edream.calibration.settings import RobotSettings
 from edream.core.bench import bench_of
 from edream.core.camera import pinhole
+from edream.core.effect import Effect
 from edream.core.episode import Episode
 from edream.core.errors import EdreamError
 from edream.core.scene import Scene
@@ -23,8 +25,13 @@ from edream.practice.rehearsing import RolloutOptions, calm, drawn_values, needs
 from edream.practice.trial import Chance
 from edream.practice.twins import eye_of, twin_images
 from edream.practice.worlds import CompositeEyes, RawEyes, Workcell, open_workcell, over
+from edream.sim.camera import SimulationCamera
+from edream.sim.emit import emit
 from edream.sim.robot import RobotModel
+from edream.sim.servo import places
+from edream.sim.simulation import Placement, SimulatedRobot
 from edream.stages.evaluate import worth_seeing
+from edream.stages.twins import Beside
 from edream.vision.dreamer import DreamModel
 from edream.vision.trained import file_of
 from edream.vision.variants import DREAM, DreamOptions, Part
@@ -185,3 +192,32 @@ def test_physics_may_come_from_other_recordings() -> None:
     assert not needs_of(RolloutOptions(model="published", physics="data=motions"))
     with pytest.raises(EdreamError, match=r"rollouts\.physics"):
         RolloutOptions(physics="motions")
+
+
+def test_twins_stand_where_a_diagnosed_simulator_has_them(cell: Workcell, robot: RobotModel) -> None:
+    wrong = Placement(catalog.load("effects", "gear_ratio", Effect), ("joint3",))
+    zero = Placement(catalog.load("effects", "encoder_offset", Effect), ("joint2",))
+    simulated = SimulatedRobot(robot, (wrong, zero))
+    emitted = emit(
+        simulated, {"gear_ratio.ratio[joint3]": 1.0, "gear_ratio.encoder[joint3]": 1.1, "encoder_offset.angle[joint2]": 0.2}
+    )
+    there = replace(robot, mjcf=emitted.mjcf)
+    (arm,) = bench_of("arm6").arms
+    truly = np.array([[*arm.home, arm.most]])
+    reading = truly * [1, 1, 1.1, 1, 1, 1, 1] + [0, 0.2, 0, 0, 0, 0, 0]
+    assert np.allclose(places(robot.model, robot.joints, reading), reading)
+    standing = places(there.model, there.joints, reading)
+    camera = cell.placed["cam_high"] if cell.placed else None
+    assert camera is not None
+    masks = []
+    for model, joints in ((robot, truly), (there, standing), (robot, reading)):
+        eye = SimulationCamera(model, camera)
+        masks.append(eye.mask(dict(zip(model.joints, joints[0], strict=True))).astype(int))
+        eye.close()
+    assert np.abs(masks[1] - masks[0]).max() <= 64 and np.abs(masks[2] - masks[0]).mean() > 2.0
+
+
+def test_only_a_diagnosis_makes_other_twins() -> None:
+    settings = [asdict(Beside(model=model, physics=physics)) for model, physics in (("fit", "data=moves"), ("published", ""))]
+    assert settings[0] == settings[1] and Beside(model="fit").needs == ()
+    assert Beside(model="diagnose", physics="data=moves ingest.fps=50").needs == ("diagnose data=moves ingest.fps=50",)
