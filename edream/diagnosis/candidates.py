@@ -123,12 +123,12 @@ def alike(problem: Problem) -> list[tuple[str, ...]]:
     """Joints that may share an effect beside usual numbers of their own: those with the same published drive; all, on one bus."""
     drives: dict[bytes, list[str]] = {}
     for joint in problem.joints:
-        drives.setdefault(_drive(problem.robot.model, joint), []).append(joint)
+        drives.setdefault(drive_of(problem.robot.model, joint), []).append(joint)
     found = dict.fromkeys([*(tuple(joints) for joints in drives.values()), problem.joints])
     return [group for group in found if len(group) > 1 and group not in problem.groups]
 
 
-def _drive(model: mujoco.MjModel, joint: str) -> bytes:
+def drive_of(model: mujoco.MjModel, joint: str) -> bytes:
     """What a model publishes of a joint's drive, to compare."""
     index = joint_index(model, joint)
     fields = (model.actuator_gainprm, model.actuator_biasprm, model.actuator_forcerange, model.actuator_gear)

@@ -11,6 +11,7 @@ from edream.core.effect import Effect
 from edream.diagnosis.candidates import Candidate, placement
 from edream.diagnosis.descent import Fit, begin, descend, polish
 from edream.diagnosis.left_out import bootstrap, is_brief, left_out_errors
+from edream.diagnosis.narrowing import narrowed
 from edream.diagnosis.problem import Problem
 from edream.diagnosis.rough import rough_candidates, searched
 from edream.diagnosis.screen import Scored, extend, screen
@@ -82,6 +83,10 @@ def forward(problem: Problem, fit: Fit, done: Callable[[str, int], object] = lam
         trials = simplified(problem, fit, errors, trials)
         passing = [t for t in trials if passes(problem, t) and matters(problem, first, errors, t)]
         taken, ended = first_that_stands(problem, fit, passing)
+        if taken is not None and (fewer := narrowed(problem, fit, errors, taken, ended)) is not None:
+            trial, there = fewer
+            if stands(problem, trial.candidate, there) and not told_apart(problem, trial, taken):
+                taken, ended = trial, there
         rounds.append(Round(fit, errors, scored, trials, taken))
         if taken is None:
             break
@@ -117,12 +122,14 @@ def settled(problem: Problem, errors: Float[np.ndarray, "M"], trials: Sequence[T
     """The trials, those near the best gone down to their ends: an effect of more numbers needs more steps to show what it can.
 
     Where the best leaves a gap that can be seen, those further behind as well, and the first of them to the end of their valleys:
-    where one is all but flat (a lag beside damping and inertia) steps have become small long before.
+    where one is all but flat (a lag beside damping and inertia) steps have become small long before. The best goes on although it
+    is not sure yet: half-way there it may have made one motion worse.
     """
     most = max((t.closed for t in trials), default=0.0)
-    leads = next((t for t in trials if t.sure), None)
+    worth_it = [t for t in trials if t.sure or t.closed >= max(problem.settings.gain, most)]
+    leads = next(iter(worth_it), None)
     short = leads is not None and is_brief(leads.fit) and not leaves_no_gap(problem, leads.fit)
-    best = [t for t in trials if t.sure and t.closed >= (BEHIND if short else NEAR) * most][:RIVALS]
+    best = [t for t in worth_it if t.closed >= (BEHIND if short else NEAR) * most][:RIVALS]
     near = [t for t in best if is_brief(t.fit) or not passes(problem, t)]
     ends = [descend(replace(t.fit, scale=worth(t.fit.objective, t.fit.residual)), None, 4) for t in near]
     if short and not any(leaves_no_gap(problem, end) for end in ends):

@@ -10,6 +10,7 @@ from edream.core.effect import Effect, Fields, Values
 from edream.core.parameters import Parameter
 
 ASIDE = 0.07  # m
+LEAST = 1e-9  # kg m^2
 REACH = 0.15  # m, from the body's own centre of mass or its first site
 
 
@@ -19,8 +20,9 @@ class Payload(Effect):
         m' = m + dm,  m' c' = m c + dm p
 
     Its load follows the pose like gravity's and grows with acceleration; it is the same in both directions. Writes the body's mass,
-    centre and inertia (diagonalised). Parameters: mass dm [kg]; place p in the body's frame: x, y, z [m], around the body's first
-    site or, without one, its own centre of mass. Source: Khalil, Dombre, Modeling, Identification and Control of Robots, 2002.
+    centre and inertia (diagonalised; where more is taken away than was there, that of what some body could be). Parameters: mass dm
+    [kg]; place p in the body's frame: x, y, z [m], around the body's first site or, without one, its own centre of mass.
+    Source: Khalil, Dombre, Modeling, Identification and Control of Robots, 2002.
     """
 
     name = "payload"
@@ -57,10 +59,13 @@ class Payload(Effect):
         inertia = turn.reshape(3, 3) @ np.diag(model.body_inertia[body]) @ turn.reshape(3, 3).T
         inertia = inertia + own * _about(centre - joint) + mass[there, None, None] * _about(point[there] - joint)
         principal, axes = np.linalg.eigh(inertia)
+        # what is taken away may be more than was there: some mass is left along each axis, as every body has it
+        spread = np.maximum(0.5 * principal.sum(axis=1, keepdims=True) - principal, LEAST)
+        principal = spread.sum(axis=1, keepdims=True) - spread
         axes[np.linalg.det(axes) < 0.0, :, 2] *= -1.0
         fields["body_mass"][there, body] = total
         fields["body_ipos"][there, body] = joint
-        fields["body_inertia"][there, body] = np.maximum(principal, 1e-9)
+        fields["body_inertia"][there, body] = principal
         turns = fields["body_iquat"]
         for row, frame in zip(there, axes, strict=True):
             mujoco.mju_mat2Quat(turns[row, body], np.ascontiguousarray(frame).ravel())
