@@ -109,3 +109,15 @@ def test_the_difference_shows_what_changed_and_nothing_else() -> None:
     changed = [line for line in difference.splitlines() if line[:1] in "+-" and line[:3] not in ("+++", "---")]
     assert len(changed) == 2
     assert "0.0123456789" in changed[1] and 'name="tilt"' in changed[1]
+
+
+def test_mass_may_be_taken_from_where_a_body_has_none() -> None:
+    place = Placement(catalog.load("effects", "payload", Effect), ("head",))
+    simulated = SimulatedRobot(ROBOT, (place,))
+    mass, *axes = place.effect.parameters(ROBOT.model, place.targets)
+    values = {place.full_name("mass"): mass.low} | {place.full_name(one.name): one.high for one in axes}
+    emitted = mujoco.MjModel.from_xml_string(emit(simulated, values).mjcf)
+    body, own = emitted.body("head").id, ROBOT.model.body("head").id
+    assert emitted.body_mass[body] == pytest.approx(0.6 * ROBOT.model.body_mass[own])
+    a, b, c = np.sort(emitted.body_inertia[body])
+    assert a > 0.0 and a + b >= c * (1.0 - 1e-9)

@@ -88,13 +88,28 @@ def test_rivals_go_to_the_end_of_their_valleys_where_the_best_leaves_a_gap(
     monkeypatch.setattr(decide, "descend", lambda fit, fresh, iterations: fit)
     monkeypatch.setattr(decide, "polish", lambda fit: ended.append(fit.name) or replace(fit, rms=end))
     monkeypatch.setattr(decide, "judged", lambda problem, fit, errors, t: replace(t, fit=fit, closed=1.0 / fit.rms))
-    problem = SimpleNamespace(floor=1.0)
+    problem = SimpleNamespace(floor=1.0, settings=SimpleNamespace(gain=0.1))
     trials_ = [trial("delay", 0.8), trial("lag", 0.5), trial("spring", 0.3)]
     found = decide.settled(problem, np.zeros(4), trials_)
     assert ended == polished and len(found) == 3
     assert found[-1].candidate.effect == "spring" and found[-1].closed == 0.3  # too far behind
-    doubtful = [replace(trial("delay", 0.8), sure=False), trial("spring", 0.3)]  # none that is sure comes near the best
+    doubtful = [replace(trial("delay", 0.05), sure=False), trial("spring", 0.01)]  # too little to go on with, and not sure
     assert decide.settled(problem, np.zeros(4), doubtful) == doubtful and ended == polished
+
+
+def test_the_best_goes_on_where_half_way_there_it_is_not_sure_yet(monkeypatch: pytest.MonkeyPatch) -> None:
+    fits = {name: FitOf(name, 2.0) for name in ("dead_zone", "lag")}
+    best, behind = (
+        Trial(Candidate(n, ("pan",)), 0.0, fits[n], np.zeros(4), c, False) for n, c in (("dead_zone", 0.4), ("lag", 0.35))
+    )
+    monkeypatch.setattr(decide, "is_brief", lambda fit: True)
+    monkeypatch.setattr(decide, "passes", lambda problem, t: t.sure)
+    monkeypatch.setattr(decide, "worth", lambda objective, residual: 1.0)
+    monkeypatch.setattr(decide, "descend", lambda fit, fresh, iterations: replace(fit, rms=1.0))
+    monkeypatch.setattr(decide, "judged", lambda problem, fit, errors, t: replace(t, fit=fit, closed=1.0, sure=True))
+    problem = SimpleNamespace(floor=1.0, settings=SimpleNamespace(gain=0.1))
+    found = decide.settled(problem, np.zeros(4), [best, behind])
+    assert [(t.candidate.effect, t.sure, t.closed) for t in found] == [("dead_zone", True, 1.0), ("lag", False, 0.35)]
 
 
 @dataclass(frozen=True)
