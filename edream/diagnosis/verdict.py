@@ -17,7 +17,7 @@ from edream.diagnosis.left_out import bootstrap, left_out_errors, proof_errors
 from edream.diagnosis.nuisance import fit_nuisance, published
 from edream.diagnosis.problem import Problem
 from edream.diagnosis.remainder import Remainder, find_remainder
-from edream.diagnosis.suspects import Suspect, find_suspects
+from edream.diagnosis.suspects import Suspect, find_suspects, most_ordinary
 from edream.diagnosis.trials import Trial
 from edream.sim.objective import rms
 from edream.sim.simulation import unit_at
@@ -107,7 +107,8 @@ def diagnose(problem: Problem, done: Callable[[str, int], object] = lambda text,
     effects = [_named(problem, fit, t, rounds, trials) for t in trials]
     suspects: list[Suspect] = []
     if not trials and off_nominal(problem, fit):
-        fit = polish(fit)  # a search that ends near enough knows less of valleys, and calls its numbers surer than they are
+        # a search that ends near enough knows less of valleys, and calls its numbers surer than they are
+        fit = most_ordinary(problem, polish(fit))
     if not trials and (numbers := off_nominal(problem, fit)):
         strange = [placement(problem, Candidate(n.name, n.targets)).full_name(q) for n in numbers for q in n.values]
         suspects = find_suspects(problem, fit, strange, lambda n: done("looking behind strange numbers", n))
