@@ -59,17 +59,18 @@ policy-seeds: $(foreach seed,1 2 3 4 5,policy-seeds-$(seed))
 policy-seeds-%: .venv/ready
 	$(MAKE) policy-tiny SEED=$* POLICY=$(MANY)/$* STORE=$(MANY)/runs NAME=policy-seeds-$*
 
-# The policy of policy-tiny that looks (sft.hidden), and the same gone on with changed scenes: both on the bench as it was, and with a sheet of
-# A4 paper on it that no demonstration has shown. Another robot: make policy-paper SEED=4 POLICY=runs/policy-seeds/4 STORE=runs/policy-seeds/runs.
+# The policy of policy-tiny that looks (sft.hidden), the same gone on with changed scenes, and both after RL: on the bench as it was, and with a
+# sheet of A4 paper on it that no demonstration has shown. Another robot: make policy-paper SEED=4 POLICY=runs/policy-seeds/4 STORE=runs/policy-seeds/runs.
 LOOKS = $(RUN)/edream train-policy $(PRACTICE) sft.hidden=0.5
 BEGUN = $(STORE)/sft/$$(sed -n 's/.*"sft": "\([0-9a-f]*\)".*/\1/p' $(STORE)/run-looks-$(SEED).json)
-GONE_ON = "evaluate.of=[\"sft\",\"sft sft.start=$(BEGUN) sft.change.share=0.5 sft.train.steps=6000 sft.train.rate=0.0005 sft.train.average=0.998\"]"
+GONE_ON = sft.start=$(BEGUN) sft.change.share=0.5 sft.train.steps=6000 sft.train.rate=0.0005 sft.train.average=0.998
+BOTH = "evaluate.of=[\"sft\",\"rl\",\"sft $(GONE_ON)\",\"rl $(GONE_ON)\"]"
 policy-paper: export OMP_NUM_THREADS = 1
 policy-paper: .venv/ready
 	test -f $(POLICY)/recorded.truth.json || { rm -rf $(POLICY)/recorded $(POLICY)/recorded.*; $(RUN)/edream record robot=arm6 task=grab_paper_cup record.episodes=50 record.out=$(POLICY)/recorded seed=$(SEED); }
 	$(LOOKS) 'evaluate.of=["sft"]' run=looks-$(SEED)
-	$(LOOKS) $(GONE_ON) run=policy-paper-$(SEED)
-	$(LOOKS) $(GONE_ON) evaluate.paper=horizontal run=policy-paper-horizontal-$(SEED)
+	$(LOOKS) $(BOTH) run=policy-paper-$(SEED)
+	$(LOOKS) $(BOTH) evaluate.paper=horizontal run=policy-paper-horizontal-$(SEED)
 
 # The paper's table at the tiny size: four tasks, SFT with three views, SFT with one, RL with one; then the ablation: physics as published,
 # calibrated, and calibrated with the effects that diagnosis found, on a robot that hides four. Hours on 2 cores, but it can be stopped at any

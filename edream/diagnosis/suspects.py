@@ -18,7 +18,7 @@ HOMEWARD = 0.5  # share of the strangeness that a suspect must explain
 REFITTED = 4
 AS_GOOD = 1.03  # times the error without it
 TIGHTER = (0.3, 0.1, 0.03, 0.01)  # times the usual width of what is believed
-AS_WELL_MET = 1.01  # times the error of the fit that is free to leave the published numbers
+AS_WELL_MET = 1.003  # times the error of the fit that is free to leave the published numbers
 
 
 @dataclass(frozen=True, eq=False)
