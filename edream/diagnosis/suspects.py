@@ -17,7 +17,7 @@ EVIDENCE = 4.0  # by how much the cost (-2 log posterior) must fall
 HOMEWARD = 0.5  # share of the strangeness that a suspect must explain
 REFITTED = 4
 AS_GOOD = 1.03  # times the error without it
-TIGHTER = (0.3, 0.1, 0.03, 0.01)  # times the usual width of what is believed
+TIGHTER = (0.5, 0.3, 0.2)  # times the usual width of what is believed
 AS_WELL_MET = 1.003  # times the error of the fit that is free to leave the published numbers
 
 
@@ -69,12 +69,13 @@ def most_ordinary(problem: Problem, fit: Fit) -> Fit:
     """The fit, its numbers as near to the published ones as the recordings allow without being met worse.
 
     Where nothing loads a joint, one factor on all its numbers changes next to no motion, and how two simulators differ decides how
-    large it comes out. Priors are made tighter, step by step, as long as that costs next to nothing.
+    large it comes out. Priors are made tighter, step by step, as long as that costs next to nothing or no more than a true
+    simulator would leave.
     """
     best = fit
     for share in TIGHTER:
         nearer = believe_published(problem, best, share)
-        if nearer.rms > AS_WELL_MET * fit.rms:
+        if nearer.rms > max(AS_WELL_MET * fit.rms, problem.floor):
             break
         best = nearer
     return best if best is fit else polish(best)

@@ -15,7 +15,7 @@ from edream.diagnosis.decide import ALIKE, REAL_GAP, Round, backward, forward, r
 from edream.diagnosis.descent import Fit, polish
 from edream.diagnosis.left_out import bootstrap, left_out_errors, proof_errors
 from edream.diagnosis.nuisance import fit_nuisance, published
-from edream.diagnosis.problem import Problem
+from edream.diagnosis.problem import Problem, nuisance_placements
 from edream.diagnosis.remainder import Remainder, find_remainder
 from edream.diagnosis.suspects import Suspect, find_suspects, most_ordinary
 from edream.diagnosis.trials import Trial
@@ -106,7 +106,7 @@ def diagnose(problem: Problem, done: Callable[[str, int], object] = lambda text,
     trials = [t for t in taken if t.candidate in kept]
     effects = [_named(problem, fit, t, rounds, trials) for t in trials]
     suspects: list[Suspect] = []
-    if not trials and off_nominal(problem, fit):
+    if not trials and strange_numbers(problem, fit):
         # a search that ends near enough knows less of valleys, and calls its numbers surer than they are
         fit = most_ordinary(problem, polish(fit))
     if not trials and (numbers := off_nominal(problem, fit)):
@@ -199,16 +199,22 @@ def numbers_of(
 def off_nominal(problem: Problem, fit: Fit) -> list[Named]:
     """Nuisance numbers so far from the published ones that they are the finding, where only a few are.
 
-    Where most are off, the model was simply not calibrated, and no single one is news. A servo's damping goes with its gain.
+    Where most are off, the model was simply not calibrated, and no single one is news.
     """
-    found, count = [], 0
+    found = strange_numbers(problem, fit)
+    count = sum(len(place.parameters(problem.robot.model)) for place in nuisance_placements(problem))
+    return found if len(found) <= max(2, count // 4) else []
+
+
+def strange_numbers(problem: Problem, fit: Fit) -> list[Named]:
+    """Nuisance numbers that are far from the published ones. A servo's damping goes with its gain."""
+    found = []
     gains: dict[tuple[str, ...], float] = {}
     for place in fit.objective.simulated.placements:
         if place.effect.name not in problem.settings.nuisance:
             continue
         values, intervals, units = numbers_of(problem, fit, Candidate(place.effect.name, place.targets))
         for parameter in place.effect.parameters(problem.robot.model, place.targets):
-            count += 1
             usual = 1.0
             if place.effect.name == "servo_gain" and parameter.start > 0.0:
                 gains[place.targets] = values[parameter.name] / parameter.start
@@ -218,7 +224,7 @@ def off_nominal(problem: Problem, fit: Fit) -> list[Named]:
                 found.append(
                     Named(place.effect.name, place.effect.summary, place.targets, values, intervals, units, float("nan"), None, ())
                 )
-    return found if len(found) <= max(2, count // 4) else []
+    return found
 
 
 def is_strange(parameter: Parameter, interval: tuple[float, float], usual: float = 1.0) -> bool:
