@@ -5,8 +5,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from edream.core.parameters import targets_in
 from edream.diagnosis.candidates import Candidate
-from edream.diagnosis.descent import Fit, cost, descend, polish
+from edream.diagnosis.descent import Fit, begin, cost, descend, polish
 from edream.diagnosis.left_out import left_out_errors
 from edream.diagnosis.problem import Problem, nuisance_placements
 from edream.diagnosis.screen import screen
@@ -17,8 +18,9 @@ EVIDENCE = 4.0  # by how much the cost (-2 log posterior) must fall
 HOMEWARD = 0.5  # share of the strangeness that a suspect must explain
 REFITTED = 4
 AS_GOOD = 1.03  # times the error without it
-TIGHTER = (0.5, 0.3, 0.2)  # times the usual width of what is believed
+TIGHTER = (0.5, 0.3)  # times the usual width of what is believed
 AS_WELL_MET = 1.003  # times the error of the fit that is free to leave the published numbers
+FLOOR_KNOWN = 1.02  # times the floor: an error below is what a true simulator may leave
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,30 +71,63 @@ def most_ordinary(problem: Problem, fit: Fit) -> Fit:
     """The fit, its numbers as near to the published ones as the recordings allow without being met worse.
 
     Where nothing loads a joint, one factor on all its numbers changes next to no motion, and how two simulators differ decides how
-    large it comes out. Priors are made tighter, step by step, as long as that costs next to nothing or no more than a true
-    simulator would leave.
+    large it comes out. So that factor goes first; then priors are made tighter, step by step. All of it as long as it costs next to
+    nothing, or no more than a true simulator would leave.
     """
-    best = fit
+    best, most = fit, max(AS_WELL_MET * fit.rms, FLOOR_KNOWN * problem.floor)
     for share in TIGHTER:
-        nearer = believe_published(problem, best, share)
-        if nearer.rms > max(AS_WELL_MET * fit.rms, problem.floor):
+        found = [believe_published(problem, best, share)]
+        if best is fit:
+            found.append(believe_published(problem, brought_home(problem, fit), share))
+        met = [one for one in found if one.rms <= most]
+        if not met:
             break
-        best = nearer
+        best = min(met, key=lambda one: float(np.abs(list(_ways(problem, one).values())).sum()))
     return best if best is fit else polish(best)
 
 
-def believe_published(problem: Problem, fit: Fit, share: float = 1.0) -> Fit:
-    """The same model fitted again under priors at the published numbers, `share` times as wide as usual."""
+def brought_home(problem: Problem, fit: Fit) -> Fit:
+    """All numbers of each joint divided by one factor, the median of what they are off by: one strange number leaves that alone."""
+    values, names, ways = fit.values.copy(), fit.space.names, _ways(problem, fit)
+    usual = {p.name for p in SimulatedRobot(problem.robot, nuisance_placements(problem)).space.parameters}
+    for group in problem.groups:
+        own = [i for i, name in enumerate(names) if name in usual and targets_in(name) == set(group)]
+        known = [ways[names[i]] for i in own if names[i] in ways]
+        values[own] /= np.exp(np.median(known or [0.0]))
+    return begin(fit.objective, np.clip(fit.space.to_unit(values), 0.0, 1.0))
+
+
+def _ways(problem: Problem, fit: Fit) -> dict[str, float]:
+    """Logarithm of what each usual number is times its published value, where that is no guess and neither is 0."""
+    parameters, found = SimulatedRobot(problem.robot, nuisance_placements(problem)).space.parameters, fit.space.mapping(fit.values)
+    known = [p for p in parameters if p.start > 0.0 and not p.guessed and found[p.name] > 0.0]
+    return {p.name: float(np.log(found[p.name] / p.start)) for p in known}
+
+
+def believe_published(problem: Problem, fit: Fit, share: float | None = None) -> Fit:
+    """The same model fitted again under priors at the published numbers.
+
+    Args:
+        problem: robot, motions and settings.
+        fit: where to begin.
+        share: the priors are so many times as wide as usual, and wider for a number that is far off already (as a Cauchy prior
+            would have it), so that it does not take others along; None for the usual ones.
+    """
     bare = SimulatedRobot(problem.robot, nuisance_placements(problem))
     published = {p.name: 0.0 if p.guessed else p.start for p in bare.space.parameters}
+    found, scales = fit.space.mapping(fit.values), {p.name: p.scale for p in bare.space.parameters}
     placements = []
     for place in nuisance_placements(problem, published):
-        bounds = {
-            quantity: {"start": known["start"]}
-            if published[place.full_name(quantity)] <= 0.0
-            else known | {"spread": share * known["spread"]}
-            for quantity, known in (place.bounds or {}).items()
-        }
+        bounds = {}
+        for quantity, known in (place.bounds or {}).items():
+            name = place.full_name(quantity)
+            if published[name] <= 0.0:
+                bounds[quantity] = {"start": known["start"]}
+                continue
+            bounds[quantity] = dict(known)
+            if share is not None:
+                away = np.log(found[name] / published[name]) if scales[name] == "log" else found[name] - published[name]
+                bounds[quantity]["spread"] = share * float(np.hypot(known["spread"], away))
         placements.append(replace(place, bounds=bounds))
     objective = replace(fit.objective, simulated=SimulatedRobot(problem.robot, tuple(placements)), simulations=0)
     return descend(replace(fit, objective=objective), None, iterations=3)

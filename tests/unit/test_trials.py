@@ -135,6 +135,8 @@ def test_strange_numbers_are_an_answer_only_where_nothing_is_left(
         "proof_errors": lambda problem, fit: errors,
         "forward": lambda problem, fit, done: (fit, [nothing]),
         "backward": lambda problem, fit, candidates: (fit, []),
+        "strange_numbers": lambda problem, fit: [gain],
+        "most_ordinary": lambda problem, fit: fit,
         "off_nominal": lambda problem, fit: [gain],
         "polish": lambda fit: fit,
         "find_suspects": lambda problem, fit, strange, done: [],
