@@ -189,12 +189,23 @@ def simplified(problem: Problem, fit: Fit, errors: Float[np.ndarray, "M"], trial
 
 
 def simplest(problem: Problem, passing: Sequence[Trial]) -> Trial | None:
-    """The best of the candidates that pass, or the special case of it that does as well; None where none passes."""
-    if not passing or (special := load("effects", passing[0].candidate.effect, Effect).special) is None:
-        return passing[0] if passing else None
-    best, plain = passing[0], Candidate(special[0], passing[0].candidate.targets)
-    same = next((t for t in passing if t.candidate == plain and t.closed >= AS_WELL * best.closed), None)
+    """The best of the candidates that pass, or what does as well and is its special case or more usual; None where none passes."""
+    best = passing[0] if passing else None
+    if best is None:
+        return None
+    special = load("effects", best.candidate.effect, Effect).special
+    plain = Candidate(special[0], best.candidate.targets) if special else None
+    usual = [t for t in passing if t.candidate.effect == best.candidate.effect and is_usual(problem, t)]
+    plainer = [t for t in passing if t.candidate == plain] + ([] if is_usual(problem, best) else usual)
+    same = next((t for t in plainer if t.closed >= AS_WELL * best.closed), None)
     return best if same is None or told_apart(problem, same, best) else same
+
+
+def is_usual(problem: Problem, trial: Trial) -> bool:
+    """Whether the quantity that its effect has mostly positive is so (see `Effect.mostly_positive`)."""
+    place = placement(problem, trial.candidate)
+    quantity = place.effect.mostly_positive
+    return quantity is None or trial.fit.space.mapping(trial.fit.values)[place.full_name(quantity)] > 0.0
 
 
 def comes_down_to(problem: Problem, trial: Trial) -> Candidate | None:

@@ -29,6 +29,7 @@ class Payload(Effect):
     summary = "a payload"
     place = "body"
     confusable = ("servo_gain", "spring", "encoder_offset", "gravity_tilt", "constant_torque")
+    mostly_positive = "mass"
 
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
         body = model.body(targets[0]).id

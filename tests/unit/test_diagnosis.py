@@ -138,13 +138,30 @@ def test_no_motion_is_suggested_between_two_delays_that_are_one_in_free_motion(p
     assert suggest(problem, fits, np.random.default_rng(1)) is None
 
 
+def _tried(problem: Problem, fit: Fit, candidate: Candidate, quantities: dict[str, float], closed: float) -> Trial:
+    place = placement(problem, candidate)
+    extended, absent = extend(fit, [place])
+    values = with_quantities(extended, absent, [place], [quantities])
+    found = begin(extended, extended.simulated.space.to_unit(values))
+    return Trial(candidate, 0.5, found, np.full(9, 1e-6), closed, True)
+
+
+def test_a_mass_that_is_missing_goes_before_one_that_is_too_much_where_motions_tell_no_difference(
+    problem: Problem, fit: Fit
+) -> None:
+    model = problem.robot.model
+    first, second = (model.body(int(model.jnt_bodyid[model.joint(name).id])).name for name in problem.robot.joints)
+    less = _tried(problem, fit, Candidate("payload", (first,)), {"mass": -0.02}, 0.56)
+    more = _tried(problem, fit, Candidate("payload", (second,)), {"mass": 0.03}, 0.54)
+    assert simplest(problem, [less, more]) is more and simplest(problem, [more, less]) is more
+    assert simplest(problem, [less, replace(more, closed=0.5)]) is less
+    assert simplest(problem, [less, replace(more, errors=2.0 * more.errors)]) is less
+    assert simplest(problem, [less, replace(more, candidate=Candidate("spring", ("tilt",)))]) is less
+
+
 def test_an_effect_that_comes_down_to_its_special_case_gives_way_to_it(problem: Problem, fit: Fit) -> None:
     def tried(effect: str, quantities: dict[str, float], closed: float) -> Trial:
-        place = placement(problem, Candidate(effect, ("tilt",)))
-        extended, absent = extend(fit, [place])
-        values = with_quantities(extended, absent, [place], [quantities])
-        found = begin(extended, extended.simulated.space.to_unit(values))
-        return Trial(Candidate(effect, ("tilt",)), 0.5, found, np.full(9, 1e-6), closed, True)
+        return _tried(problem, fit, Candidate(effect, ("tilt",)), quantities, closed)
 
     plain = tried("load_friction", {"slope": 0.3, "motor_share": 0.1}, 0.79)
     even = tried("directional_efficiency", {"slope": 0.3, "asymmetry": 0.0}, 0.80)
