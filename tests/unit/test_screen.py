@@ -1,0 +1,40 @@
+"""The score test: which effect it points at."""
+
+import numpy as np
+import pytest
+
+from benchmarks.blind.cases import robot_of
+from edream.catalog import load
+from edream.core.effect import Effect
+from edream.core.episode import Episode
+from edream.diagnosis.nuisance import fit_nuisance
+from edream.diagnosis.problem import Settings, prepare
+from edream.diagnosis.screen import screen, waves
+from edream.reality.recorder import Recorder, make_recordings
+from edream.reality.truth import draw
+
+
+@pytest.mark.parametrize("phase", [-2.5, -0.4, 1.0, 3.0])
+def test_two_probes_a_quarter_turn_apart_find_a_wave_of_any_phase(phase: float) -> None:
+    rng = np.random.default_rng(5)
+    turns = rng.normal(size=(4, 300))  # sine and cosine of two wavelengths
+    hidden = 2.0 * (np.cos(phase) * turns[2] + np.sin(phase) * turns[3])
+    probes = [{"periods": n, "phase": p} for n in (8.0, 10.0) for p in (0.0, np.pi / 2.0)]
+    found = waves(load("effects", "cogging", Effect), probes, list(turns), -hidden)
+    (_, away), (probe, change) = found
+    assert probe["periods"] == 10.0 and probe["phase"] == pytest.approx(phase, abs=0.2)
+    assert float(change @ hidden) > 0.99 * np.linalg.norm(change) * np.linalg.norm(hidden)
+    assert abs(float(away @ hidden)) < 0.3 * np.linalg.norm(away) * np.linalg.norm(hidden)
+
+
+@pytest.mark.parametrize("seed", [21, 22])
+def test_the_score_test_points_at_a_torque_limit_far_below_where_a_servo_has_none(seed: int) -> None:
+    robot = robot_of("pan_tilt")
+    assert robot is not None
+    truth = draw(robot, ("torque_saturation",), np.random.default_rng(seed), 0.3, ())
+    made = make_recordings(robot, truth, seed, 6, 5.0, Recorder())
+    episodes = [Episode(r.name, robot.joints, r.times, r.position, r.command_times, r.command) for r in made]
+    looked_at = prepare(robot, episodes, Settings(effects=("torque_limit", "quadratic_drag", "load_friction", "stribeck")))
+    first = screen(looked_at, fit_nuisance(looked_at))[0]
+    assert (first.candidate.effect, first.candidate.targets) == ("torque_limit", truth.effects[0].targets)
+    assert first.start["torque"] == pytest.approx(truth.effects[0].values["torque"], rel=0.2)
