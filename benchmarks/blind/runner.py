@@ -157,6 +157,7 @@ def scored(case: Case, robot: RobotModel, folder: Path, result: Mapping[str, Any
             "verdict": "failed",
             "named": [],
             "found": ["missed"] * len(hidden),
+            "usual": False,
             "right": False,
             "closed": None,
             "seconds": None,

@@ -4,10 +4,12 @@ The first process leads: it alone makes artifacts, and tells the others which pi
 killed goes on at its last piece, however many processes there were.
 """
 
+import importlib
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from datetime import timedelta
+from typing import Any
 
 import numpy as np
 import torch
@@ -44,7 +46,7 @@ def joined() -> Iterator[int]:
         if own >= there:
             raise EdreamError(f"torchrun started process {own + 1} on a machine with {there} GPUs; give --nproc-per-node={there}.")
         torch.cuda.set_device(own)
-    dist.init_process_group("cpu:gloo,cuda:nccl" if torch.cuda.is_available() else "gloo", timeout=LONG)
+    meet("cpu:gloo,cuda:nccl" if torch.cuda.is_available() else "gloo", timeout=LONG)
     try:
         yield dist.get_rank()
         if dist.get_rank() == 0:
@@ -56,6 +58,16 @@ def joined() -> Iterator[int]:
         raise
     finally:
         dist.destroy_process_group()
+
+
+def meet(backend: str, **how: Any) -> None:
+    """Begin a group of processes, as `init_process_group` does.
+
+    torch imports a part of itself with the first optimiser only. Imported while a group is there, that part keeps the group's
+    threads alive behind `destroy_process_group`, and a process that ends with them is aborted now and then: so it is imported before.
+    """
+    importlib.import_module("torch._dynamo")
+    dist.init_process_group(backend, **how)
 
 
 def lead(order: Order, state: dict[str, np.ndarray]) -> None:

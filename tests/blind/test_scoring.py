@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+from benchmarks.blind import runner
 from benchmarks.blind.cases import PAIRS, SITES, SORTS, Case, Session, cases, robot_of
 from benchmarks.blind.names import OTHER_NAME, SAME_NAME, is_usual, library_name, true_values
 from benchmarks.blind.runner import finished
@@ -14,7 +15,7 @@ from benchmarks.blind.table import markdown, table
 from edream import catalog
 from edream.core.errors import EdreamError
 from edream.reality.effects import KINDS
-from edream.reality.truth import Hidden, Truth
+from edream.reality.truth import Hidden, Truth, seal
 
 ROBOT = robot_of("pan_tilt")
 GAP = {"published_rad": 4e-3, "before_rad": 2e-3, "after_rad": 3e-4, "noise_floor_rad": 2e-4, "floor_rad": 5e-4}
@@ -148,3 +149,14 @@ def test_the_table_counts_right_answers_and_shows_wrong_ones() -> None:
     assert made["single_right"] == [1, 3]
     assert made["confusion"] == {"actuator_delay": {"actuator_delay": 1, "actuator_delay*": 1, "none": 1}}
     assert "1 of 3 (33%)" in markdown(made, rows)
+
+
+def test_a_case_that_failed_counts_as_wrong_in_the_table(tmp_path: Path) -> None:
+    assert ROBOT is not None
+    case = Case("pan_tilt", ("actuator_delay",), 0, "single")
+    (tmp_path / "truth").mkdir()
+    seal(DELAY, tmp_path / "truth" / f"{case.code}.json")
+    rows = [runner.scored(case, ROBOT, tmp_path, {"failed": "more than 1800 s"}), scored([effect("actuator_delay", "tilt")])]
+    made = table(rows, 2)
+    assert made["single_right"] == made["single_visible_right"] == [1, 2]
+    assert "| actuator_delay[tilt] | failed |" in markdown(made, rows)

@@ -48,10 +48,16 @@ def trainer(folder: Path, options: DreamOptions) -> Trainer:
     return Trainer(small_scenes(folder / "images"), None, {}, options, 0, variants(options, ("real", "sim", "crop")))
 
 
+def threads() -> list[str]:
+    """Threads of this process that gloo has begun; one that ends with them may be aborted. Empty where /proc does not tell."""
+    names = [(one / "comm").read_text().strip() for one in Path("/proc/self/task").glob("*")]
+    return [name for name in names if "gloo" in name]
+
+
 def _one_of_two(number: int, folder: Path) -> None:
     """One process: leads or follows the same training twice, then writes down what it has."""
     torch.set_num_threads(1)
-    torch.distributed.init_process_group("gloo", f"file://{folder}/meet", rank=number, world_size=2)
+    ranks.meet("gloo", init_method=f"file://{folder}/meet", rank=number, world_size=2)
     digests = []
     for turn in range(2):
         one = trainer(folder / f"{number}-{turn}", TINY)
@@ -66,8 +72,8 @@ def _one_of_two(number: int, folder: Path) -> None:
                 state, _ = one.piece(ranks.followed(one.begin(which)), first, last)
         digests.append(weights_digest(state))
     shares = [batch.clip.real.shape[0] for batch in [Batches(one.scenes, TINY, one.variants[0], 0).at(0)]]
-    (folder / f"{number}.json").write_text(json.dumps({"digests": digests, "shares": shares}))
     torch.distributed.destroy_process_group()
+    (folder / f"{number}.json").write_text(json.dumps({"digests": digests, "shares": shares, "left": threads()}))
 
 
 def test_two_processes_train_one_network_and_give_the_same_bytes_each_time(tmp_path: Path) -> None:
@@ -75,6 +81,7 @@ def test_two_processes_train_one_network_and_give_the_same_bytes_each_time(tmp_p
     one, other = (json.loads((tmp_path / f"{number}.json").read_text()) for number in range(2))
     assert len({*one["digests"], *other["digests"]}) == 1, "both have the same weights, and have them again"
     assert one["shares"] == other["shares"] == [2], "each has half of the batch"
+    assert not one["left"] + other["left"], "no thread outlives the group"
     alone = trainer(tmp_path / "alone", TINY)
     state, _ = alone.piece(alone.begin(0), 0, 4)
     assert weights_digest(state) != one["digests"][0], "chances are each process' own, so the number of processes counts"
@@ -92,7 +99,7 @@ def sft(batch: int = 8) -> SftTrainer:
 def _policy_of_two(number: int, folder: Path) -> None:
     """One process: both train a policy, piece by piece; then the first one alone another, which the second does not have."""
     torch.set_num_threads(1)
-    torch.distributed.init_process_group("gloo", f"file://{folder}/meet", rank=number, world_size=2)
+    ranks.meet("gloo", init_method=f"file://{folder}/meet", rank=number, world_size=2)
     one, other = sft(), sft(batch=4)
     state, along, alone = new_state(one.network), [], None
     if number == 0:
@@ -106,9 +113,9 @@ def _policy_of_two(number: int, folder: Path) -> None:
     else:
         for _, first, last in ranks.orders(one.number):
             state, _ = one.piece(ranks.followed(new_state(one.network)), first, last, together=True)
-    told = {"digest": weights_digest(state), "along": along, "alone": alone}
-    (folder / f"{number}.json").write_text(json.dumps(told))
     torch.distributed.destroy_process_group()
+    told = {"digest": weights_digest(state), "along": along, "alone": alone, "left": threads()}
+    (folder / f"{number}.json").write_text(json.dumps(told))
 
 
 def test_two_processes_train_one_policy_and_the_first_one_alone_what_the_other_does_not_have(tmp_path: Path) -> None:
@@ -116,6 +123,7 @@ def test_two_processes_train_one_policy_and_the_first_one_alone_what_the_other_d
     lead, follower = (json.loads((tmp_path / f"{number}.json").read_text()) for number in range(2))
     assert lead["digest"] == follower["digest"], "both have the same weights"
     assert lead["along"] == [True, True, False]
+    assert not lead["left"] + follower["left"], "no thread outlives the group"
     for batch, steps, digest, same in ((8, 4, lead["digest"], False), (4, 2, lead["alone"], True)):
         here = sft(batch)
         state, _ = here.piece(new_state(here.network), 0, steps, together=False)
