@@ -64,7 +64,7 @@ def meet(backend: str, **how: Any) -> None:
     """Begin a group of processes, as `init_process_group` does.
 
     torch imports a part of itself with the first optimiser only. Imported while a group is there, that part keeps the group's
-    threads alive behind `destroy_process_group`, and a process that ends with them is aborted now and then: so it is imported before.
+    threads alive behind `destroy_process_group`, and a process that ends with them is aborted now and then: it is imported before.
     """
     importlib.import_module("torch._dynamo")
     dist.init_process_group(backend, **how)
