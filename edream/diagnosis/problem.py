@@ -18,10 +18,12 @@ from edream.core.errors import EdreamError, unknown_name
 from edream.sim.robot import RobotModel, joint_groups
 from edream.sim.simulation import Placement, Scaling
 from edream.sim.touch import kept_clear
-from edream.sim.window import Window, whole
+from edream.sim.window import Window, at_rest, whole
 
 CREDIBLE_FACTOR = 2.5
 SHORTEST = 4.0  # s
+FEWEST = 4  # motions, of which some are kept for the proof
+PIECES, PIECE = 8, 12.0  # how many pieces fewer motions are cut into at least, and how long they are [s] where there is more
 OUTLYING = (0.5, 99.5)  # percentiles of the positions between which a joint moved
 STILL = 0.02  # rad
 NOMINAL_SPREAD = math.log(1.35)
@@ -125,18 +127,13 @@ def prepare(robot: RobotModel, episodes: Sequence[Episode], settings: Settings) 
     """Split the motions, group the joints and measure the noise.
 
     Raises:
-        EdreamError: fewer than four motions, or a name that does not exist.
+        EdreamError: too little motion, or a name that does not exist.
     """
-    if len(episodes) < 4:
-        raise EdreamError(
-            f"A diagnosis needs at least 4 motions, so that some are never fitted; the data has {len(episodes)}. "
-            "Record more, or cut long recordings into several."
-        )
     joints = episodes[0].joints
     for name in settings.joints:
         robot.joint_index(name)
     counted = np.array([not settings.joints or joint in settings.joints for joint in joints])
-    windows = [window for window in whole(episodes, settings.until) if window.last - window.first >= 20]
+    windows = motions(episodes, settings)
     kept = _proof_names([w.episode.name for w in windows], settings)
     return Problem(
         robot=kept_clear(robot, episodes),
@@ -145,8 +142,26 @@ def prepare(robot: RobotModel, episodes: Sequence[Episode], settings: Settings) 
         fitted=tuple(shortened([w for w in windows if w.episode.name not in kept], settings)),
         proof=tuple(w for w in windows if w.episode.name in kept),
         counted=counted,
-        noise=measurement_noise([w.episode for w in windows]),
+        noise=measurement_noise(episodes),
     )
+
+
+def motions(episodes: Sequence[Episode], settings: Settings) -> list[Window]:
+    """What counts as a motion: an episode, or, where there are fewer than four, stretches of them.
+
+    Raises:
+        EdreamError: too little motion to keep some for the proof.
+    """
+    windows = [window for window in whole(episodes, settings.until) if window.last - window.first >= 20]
+    if len(windows) >= FEWEST:
+        return windows
+    seconds = sum(episode.duration for episode in episodes)
+    if seconds < FEWEST * SHORTEST:
+        raise EdreamError(
+            f"A diagnosis needs at least {FEWEST} motions, so that some are never fitted, or {FEWEST * SHORTEST:.0f} s of one that "
+            f"can be cut; the data has {len(episodes)} of {seconds:.1f} s in all. Record more."
+        )
+    return at_rest(episodes, min(max(PIECES, round(seconds / PIECE)), int(seconds / SHORTEST)))
 
 
 def shortened(windows: Sequence[Window], settings: Settings) -> list[Window]:
