@@ -49,6 +49,10 @@ class State(Protocol):
     friction: Float[np.ndarray, "N nv"]
     torque: Float[np.ndarray, "N nv"]
 
+    def recent(self, dof: int, seconds: float) -> Float[np.ndarray, "N"]:
+        """How fast a joint has been lately [rad/s]: its speed's size, averaged with weights exp(-age / seconds)."""
+        ...
+
 
 Hook = Callable[[Any, Any, Any], None]
 

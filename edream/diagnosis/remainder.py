@@ -41,6 +41,7 @@ FEATURES = (
     "time",
     "direction_time",
 )
+RECENT = (2.0, 10.0)  # s, over which a joint's speed may be remembered: what warms up, or settles
 
 
 def residual_torque(state: State, index: dict[str, int], values: Mapping[str, Any]) -> None:
@@ -70,10 +71,14 @@ def residual_torque(state: State, index: dict[str, int], values: Mapping[str, An
             number = rest.split("_")[0]
             shape = np.exp(-0.5 * ((q - values["centre_" + number]) / values["width"]) ** 2)
             torque = torque + coefficient * shape * {"bump": 1.0, "direction_bump": direction, "speed_bump": v}[kind]
-        elif kind in ("other_angle", "other_speed", "speed_product"):
+        elif kind in ("direction_recent", "speed_recent"):
+            torque = torque + coefficient * (direction if kind == "direction_recent" else v) * state.recent(
+                index["dof"], float(rest)
+            )
+        elif kind in ("other_angle", "other_speed", "speed_product", "speed_other"):
             dof = int(rest)
             other = state.qpos[:, dof] if kind == "other_angle" else state.qvel[:, dof]
-            torque = torque + coefficient * other * (v if kind == "speed_product" else 1.0)
+            torque = torque + coefficient * {"speed_product": other * v, "speed_other": abs(other) * v}.get(kind, other)
     state.torque[:, index["dof"]] += torque
 
 
@@ -168,7 +173,8 @@ def _candidates(problem: Problem, joint: str) -> tuple[dict[str, float], list[st
     others = [int(model.jnt_dofadr[model.joint(name).id]) for name in problem.joints if name != joint]
     names = list(FEATURES)
     names += [f"{kind}_at_{i}" for kind in ("bump", "direction_bump", "speed_bump") for i in range(BUMPS)]
-    names += [f"{kind}_at_{dof}" for kind in ("other_angle", "other_speed", "speed_product") for dof in others]
+    names += [f"{kind}_at_{dof}" for kind in ("other_angle", "other_speed", "speed_product", "speed_other") for dof in others]
+    names += [f"{kind}_at_{seconds:g}" for kind in ("direction_recent", "speed_recent") for seconds in RECENT]
     return shape, names
 
 
@@ -246,4 +252,9 @@ def _words(quantity: str, shape: Mapping[str, float]) -> str:
     if kind.endswith("bump"):
         bump = f"bump(q at {shape['centre_' + rest]:.2f} rad, width {shape['width']:.2f})"
         return {"bump": bump, "direction_bump": f"sign(v) {bump}", "speed_bump": f"v {bump}"}[kind]
-    return {"other_angle": f"q{rest}", "other_speed": f"v{rest}", "speed_product": f"v v{rest}"}[kind]
+    if kind.endswith("recent"):
+        lately = f"mean |v| of the last {rest} s"
+        return f"sign(v) {lately}" if kind == "direction_recent" else f"v {lately}"
+    return {"other_angle": f"q{rest}", "other_speed": f"v{rest}", "speed_product": f"v v{rest}", "speed_other": f"v |v{rest}|"}[
+        kind
+    ]

@@ -25,6 +25,7 @@ from edream.sim.simulation import unit_at
 STRANGE = (0.68, 1.35)  # times its published value: a nuisance number below or above is an effect itself, 30 % off is usual
 CLOSED = 0.9  # share of the gap, in root-mean-square error, from which what is left is not worth a formula
 ENOUGH = 0.5  # share of the squared gap that named effects must close, or what is left has no name
+AS_GOOD = 1.1  # times the error of names and a formula that a formula alone may have and be preferred
 
 Verdict = Literal["named", "none", "cannot_tell", "unnamed"]
 
@@ -268,8 +269,10 @@ def unexplained(
     if not closed:
         beside = find_remainder(problem, fit, beside_names=bool(trials))
         if beside is not None and beside.real:
-            rest = float(beside.errors.mean())
-            if not trials or falls_short(problem, first, left) or rest - floor < 0.5 * (end - floor):
+            rest, short = float(beside.errors.mean()), falls_short(problem, first, left)
+            if trials and short and (alone := find_remainder(problem, before)) is not None and alone.real:
+                return alone if float(alone.errors.mean()) <= AS_GOOD * rest else beside
+            if not trials or short or rest - floor < 0.5 * (end - floor):
                 return beside
     if not trials or (closed and len(trials) < 2):
         return None

@@ -37,11 +37,23 @@ BODY = '''
 CALLS = {calls}
 
 
+def recent(state, dof, seconds):
+    """How fast a joint has been lately: its speed's size, averaged with weights exp(-age / seconds); begins at rest."""
+    now, before = float(state.time[0]), state.memory.get((dof, seconds))
+    if before is None or before[0] != now:
+        value = np.zeros(len(state.qvel)) if before is None else before[1]
+        before = now, value + (np.abs(state.qvel[:, dof]) - value) * -np.expm1(-state.step / seconds)
+        state.memory[dof, seconds] = before
+    return before[1]
+
+
 class One:
     """One MjData, seen as a batch of one."""
 
-    def __init__(self, model, data):
-        self.time = np.array([data.time])
+    recent = recent
+
+    def __init__(self, model, data, memory):
+        self.time, self.step, self.memory = np.array([data.time]), model.opt.timestep, memory
         self.qpos, self.qvel, self.ctrl = data.qpos[None], data.qvel[None], data.ctrl[None]
         self.qfrc_bias, self.actuator_force = data.qfrc_bias[None], data.actuator_force[None]
         self.gear_torque = (data.qfrc_smooth + data.qfrc_bias + data.qfrc_constraint - model.dof_armature * data.qacc)[None]
@@ -52,8 +64,11 @@ class One:
 class Many:
     """A mujoco.batch.Batch: the same names, one row a simulation."""
 
+    recent = recent
+
     def __init__(self, batch):
         bind = batch.bind
+        self.step, self.memory = batch.get_model(0).opt.timestep, {{}}
         self.clock, self.bias = bind("time"), batch.expand("actuator_biasprm")
         self.qpos, self.qvel, self.ctrl = bind("qpos"), bind("qvel"), bind("ctrl")
         self.qfrc_bias, self.actuator_force = bind("qfrc_bias"), bind("actuator_force")
@@ -153,13 +168,14 @@ def begin(model, data):
 
 def make(model):
     """A function step(model, data) to be called before each mujoco.mj_step."""
-    laws, base, last = calls(model), model.dof_frictionloss.copy(), [np.inf]
+    laws, base, last, memory = calls(model), model.dof_frictionloss.copy(), [np.inf], {{}}
 
     def step(model, data):
         if data.time < last[0] or data.time == 0.0:
             begin(model, data)
+            memory.clear()
         last[0] = data.time
-        apply(One(model, data), base, laws)
+        apply(One(model, data, memory), base, laws)
 
     return step
 

@@ -24,6 +24,8 @@ class BatchState:
         self.torque = bind("qfrc_applied")
         self.base_friction = self.friction.copy()
         self.start = start
+        self._step = float(simulations.get_model(0).opt.timestep)
+        self._memory: dict[tuple[int, float], tuple[float, np.ndarray]] = {}
 
     @property
     def time(self) -> Float[np.ndarray, "N"]:
@@ -37,6 +39,14 @@ class BatchState:
     def gain(self) -> Float[np.ndarray, "N actuators"]:
         """Position gains in force: the bias term holds them for position and PID servos alike."""
         return -self._bias[:, :, 1]
+
+    def recent(self, dof: int, seconds: float) -> Float[np.ndarray, "N"]:
+        now, before = float(self.clock.flat[0]), self._memory.get((dof, seconds))
+        if before is None or before[0] != now:
+            value = np.zeros(len(self.qvel)) if before is None else before[1]
+            before = now, value + (np.abs(self.qvel[:, dof]) - value) * -np.expm1(-self._step / seconds)
+            self._memory[dof, seconds] = before
+        return before[1]
 
 
 def batch_hooks(

@@ -6,11 +6,14 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from mujoco import batch
 
 from edream import catalog
 from edream.core.effect import Effect
 from edream.core.episode import Episode
+from edream.diagnosis.remainder import ResidualTorque
 from edream.sim.emit import emit
+from edream.sim.hooks import BatchState
 from edream.sim.robot import load_robot
 from edream.sim.rollout import rollout
 from edream.sim.simulation import Placement, SimulatedRobot
@@ -91,6 +94,37 @@ def test_stock_mujoco_replays_the_emitted_model_as_edream_does(name: str, tmp_pa
     assert np.abs(ours - theirs).max() < 1e-6, f"{name}: {np.abs(ours - theirs).max():.1e} rad"
     if simulated.has_hooks:
         assert "import edream" not in made.hook and "State" not in made.hook
+
+
+TERMS = ("direction_recent_at_2", "speed_recent_at_10", "speed_other_at_0", "speed_product_at_0", "direction_bump_at_0")
+
+
+@pytest.mark.parametrize("term", TERMS)
+def test_a_term_of_a_formula_is_emitted_as_it_was_simulated(term: str, tmp_path: Path) -> None:
+    shape = {"centre_0": 0.1, "width": 0.2} if "bump" in term else {}
+    simulated = SimulatedRobot(ROBOT, (Placement(ResidualTorque([term], [1.0], shape), ("tilt",), fixed=shape),))
+    values, windows = {simulated.space.names[0]: -0.2}, whole([motion()])
+    made = emit(simulated, values)
+    (tmp_path / "model.xml").write_text(made.mjcf)
+    ours = rollout(simulated, simulated.space.vector(values)[None], windows, threads=1)[0][0]
+    hook = loaded(made.hook, tmp_path)
+    alone = stock(mujoco.MjModel.from_xml_path(str(tmp_path / "model.xml")), hook, windows[0].episode)
+    emitted = SimulatedRobot(load_robot(tmp_path / "model.xml", site="ee"), ())
+    many = rollout(emitted, np.zeros((2, 0)), windows, threads=1, hook=hook.make_batch)[0]
+    assert np.abs(ours - alone).max() < 1e-6 and np.abs(ours - many).max() < 1e-6
+    assert np.abs(ours - rollout(simulated, np.zeros((1, 1)), windows, threads=1)[0][0]).max() > 1e-4, "it does something"
+
+
+def test_a_joint_is_remembered_as_fast_as_it_was_lately() -> None:
+    simulations = batch.Batch(ROBOT.model, 2, 1)
+    simulations.reset()
+    simulations.bind("qvel")[:, 0] = (1.5, -1.5)
+    state, step, clock = BatchState(simulations), ROBOT.model.opt.timestep, simulations.bind("time")
+    for k in range(int(1.0 / step)):
+        clock[:] = k * step
+        again = state.recent(0, 2.0)
+        np.testing.assert_array_equal(state.recent(0, 2.0), again)  # asked twice in a step
+    np.testing.assert_allclose(again, 1.5 * (1.0 - np.exp(-0.5)), rtol=1e-6)
 
 
 @pytest.mark.parametrize("name", NAMES)

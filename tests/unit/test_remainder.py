@@ -1,0 +1,62 @@
+"""Gaps without a name: which formula is told, and what it remembers of the motion."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+from benchmarks.blind.cases import robot_of
+from edream.core.episode import Episode
+from edream.diagnosis import verdict
+from edream.diagnosis.left_out import left_out_errors
+from edream.diagnosis.nuisance import fit_nuisance
+from edream.diagnosis.problem import Settings, prepare
+from edream.diagnosis.remainder import find_remainder
+from edream.sim.robot import RobotModel
+
+
+def warmed(robot: RobotModel, seed: int) -> Episode:
+    """A motion by MuJoCo alone of a tilt joint whose dry friction melts away with the way it goes, and comes back at rest."""
+    rng, model = np.random.default_rng(seed), robot.model
+    data, dof, step = mujoco.MjData(model), model.joint("tilt").dofadr[0], float(model.opt.timestep)
+    times = np.arange(0.0, 8.0, 0.02)
+    going = np.clip(times - rng.uniform(0.2, 2.0), 0.0, None)[:, None]
+    command = 0.5 * np.sin(going * rng.uniform(1.5, 3.0, 2)) * [1.0, 0.6]
+    heat, clock, passed = 0.0, [], []
+    for k in range(int(times[-1] / step) + 1):
+        data.ctrl[:2] = command[min(int(k * step / 0.02 + 1e-9), len(command) - 1)]
+        speed = float(data.qvel[dof])
+        clock.append(k * step)
+        passed.append(data.qpos[:2].copy())
+        data.qfrc_applied[dof] = -0.12 * np.exp(-2.0 * heat) * np.tanh(speed / 0.01)
+        heat += step * (abs(speed) - heat / 3.0)
+        mujoco.mj_step(model, data)
+    position = np.stack([np.interp(times, clock, column) for column in np.array(passed).T], axis=1)
+    return Episode(f"warm_{seed}", robot.joints, times, position + rng.normal(0.0, 2e-4, position.shape), times, command)
+
+
+def test_friction_that_melts_as_a_joint_moves_is_described_by_how_fast_it_was_lately() -> None:
+    robot = robot_of("pan_tilt")
+    assert robot is not None
+    problem = prepare(robot, [warmed(robot, seed) for seed in range(6)], Settings())
+    fit = fit_nuisance(problem)
+    found = find_remainder(problem, fit)
+    assert found is not None and found.real and found.joint == "tilt"
+    assert "sign(v) mean |v| of the last" in found.formula
+    assert found.errors.mean() < 0.25 * left_out_errors(problem, fit).mean(), "half of the error, on motions left out"
+
+
+@pytest.mark.parametrize(("alone", "told"), [(1.05, False), (1.5, True)])
+def test_names_that_fall_short_go_where_a_formula_alone_does_as_well(
+    alone: float, told: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    floor = 3e-4
+    problem: Any = SimpleNamespace(floor=floor, settings=Settings())
+    first, left = np.full(4, (20 * floor) ** 2), np.full(4, (17 * floor) ** 2)
+    beside = SimpleNamespace(real=True, errors=np.full(4, (5 * floor) ** 2), beside_names=True)
+    instead = SimpleNamespace(real=True, errors=alone * beside.errors, beside_names=False)
+    monkeypatch.setattr(verdict, "find_remainder", lambda problem, fit, beside_names=False: beside if beside_names else instead)
+    found = verdict.unexplained(problem, "before", "fit", first, left, ["one"])  # type: ignore[arg-type, list-item]
+    assert found is (beside if told else instead)
