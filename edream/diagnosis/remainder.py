@@ -72,9 +72,8 @@ def residual_torque(state: State, index: dict[str, int], values: Mapping[str, An
             shape = np.exp(-0.5 * ((q - values["centre_" + number]) / values["width"]) ** 2)
             torque = torque + coefficient * shape * {"bump": 1.0, "direction_bump": direction, "speed_bump": v}[kind]
         elif kind in ("direction_recent", "speed_recent"):
-            torque = torque + coefficient * (direction if kind == "direction_recent" else v) * state.recent(
-                index["dof"], float(rest)
-            )
+            lately = state.recent(index["dof"], float(rest))
+            torque = torque + coefficient * lately * (direction if kind == "direction_recent" else v)
         elif kind in ("other_angle", "other_speed", "speed_product", "speed_other"):
             dof = int(rest)
             other = state.qpos[:, dof] if kind == "other_angle" else state.qvel[:, dof]
@@ -255,6 +254,5 @@ def _words(quantity: str, shape: Mapping[str, float]) -> str:
     if kind.endswith("recent"):
         lately = f"mean |v| of the last {rest} s"
         return f"sign(v) {lately}" if kind == "direction_recent" else f"v {lately}"
-    return {"other_angle": f"q{rest}", "other_speed": f"v{rest}", "speed_product": f"v v{rest}", "speed_other": f"v |v{rest}|"}[
-        kind
-    ]
+    words = {"other_angle": f"q{rest}", "other_speed": f"v{rest}", "speed_product": f"v v{rest}", "speed_other": f"v |v{rest}|"}
+    return words[kind]

@@ -1,6 +1,7 @@
 """Hooks: what MJCF cannot say, applied before each step to one `MjData` or to a whole batch."""
 
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -12,7 +13,9 @@ from edream.sim.simulation import SimulatedRobot, hook_index, late_last
 class BatchState:
     """What hooks see of a batch: `edream.core.effect.State` for N simulations."""
 
-    def __init__(self, simulations: batch.Batch, start: Float[np.ndarray, "N"] | float = 0.0) -> None:
+    def __init__(
+        self, simulations: batch.Batch, start: Float[np.ndarray, "N"] | float = 0.0, past: Callable[[int, float], Any] | None = None
+    ) -> None:
         bind = simulations.bind
         self.clock = bind("time")
         self.qpos, self.qvel, self.ctrl = bind("qpos"), bind("qvel"), bind("ctrl")
@@ -25,7 +28,7 @@ class BatchState:
         self.base_friction = self.friction.copy()
         self.start = start
         self._step = float(simulations.get_model(0).opt.timestep)
-        self._memory: dict[tuple[int, float], tuple[float, np.ndarray]] = {}
+        self._past, self._memory = past, dict[tuple[int, float], tuple[float, np.ndarray]]()
 
     @property
     def time(self) -> Float[np.ndarray, "N"]:
@@ -42,11 +45,15 @@ class BatchState:
 
     def recent(self, dof: int, seconds: float) -> Float[np.ndarray, "N"]:
         now, before = float(self.clock.flat[0]), self._memory.get((dof, seconds))
-        if before is None or before[0] != now:
-            value = np.zeros(len(self.qvel)) if before is None else before[1]
-            before = now, value + (np.abs(self.qvel[:, dof]) - value) * -np.expm1(-self._step / seconds)
-            self._memory[dof, seconds] = before
-        return before[1]
+        if before is not None and before[0] == now:
+            return before[1]
+        if before is not None:
+            value = before[1]
+        else:
+            value = np.zeros(len(self.qvel)) if self._past is None else self._past(dof, seconds)
+        value = value + (np.abs(self.qvel[:, dof]) - value) * -np.expm1(-self._step / seconds)
+        self._memory[dof, seconds] = now, value
+        return value
 
 
 def batch_hooks(
@@ -54,6 +61,7 @@ def batch_hooks(
     simulations: batch.Batch,
     numbers: Sequence[Mapping[str, Float[np.ndarray, "N"]]],
     start: Float[np.ndarray, "N"] | float = 0.0,
+    past: Callable[[int, float], Any] | None = None,
 ) -> Callable[[], None] | None:
     """One function that applies every hook to a batch, or None where no effect has one.
 
@@ -61,10 +69,11 @@ def batch_hooks(
 
     Args:
         start: time of each simulation's first step since its recording began [s].
+        past: what `recent` begins with, (N,) for a dof and seconds; None for rest.
     """
     if not simulated.has_hooks:
         return None
-    state = BatchState(simulations, start)
+    state = BatchState(simulations, start, past)
     calls = [
         (placement.effect.hook, hook_index(simulated.model, placement.effect, target), values)
         for placement, values in late_last(zip(simulated.placements, numbers, strict=True))

@@ -22,6 +22,7 @@ from edream.sim.start import (
     held_at_rest,
     integral_states,
     reading_delays,
+    recent_speed,
     start_actuators,
     start_sensors,
     start_velocity,
@@ -122,7 +123,7 @@ class _Replay:
         self._gains = _Servos(self.batch, self.model)
         write_fields(simulated, self.batch, numbers)
         self._gains.remember()
-        own = batch_hooks(simulated, self.batch, numbers, _begins(windows, self.n))
+        own = batch_hooks(simulated, self.batch, numbers, _begins(windows, self.n), self._lately)
         self.hooks = hook(self.batch) if hook is not None else own
         self.record, self.columns, self.lag = _measured(self.model, joints)
         self.samples = [window.times / self.step for window in windows]
@@ -153,6 +154,12 @@ class _Replay:
             self._wind_up()
         if rotors or self.hooks is not None or self.record == "sensordata":
             self.batch.forward()
+
+    def _lately(self, dof: int, seconds: float) -> Float[np.ndarray, "N"]:
+        """How fast a joint was as the windows begin (`recent_speed`) [rad/s]; 0 where it is not recorded."""
+        columns = [column for column, one in enumerate(self.index) if one["dof"] == dof]
+        speeds = [recent_speed(window, columns[0], seconds) if columns else 0.0 for window in self.windows]
+        return np.repeat(speeds, self.n)
 
     def _rows(self, number: int) -> slice:
         return slice(number * self.n, (number + 1) * self.n)

@@ -38,6 +38,13 @@ def _slope(episode: Episode, row: int) -> Float[np.ndarray, "J"]:
     return clock @ (episode.position[rows] - episode.position[rows].mean(axis=0)) / (clock @ clock)
 
 
+def recent_speed(window: Window, column: int, seconds: float) -> float:
+    """How fast a joint was before a window begins: its speed's size, averaged with weights exp(-age / seconds) [rad/s]."""
+    episode, row = window.episode, window.first
+    ways = np.abs(np.diff(episode.position[: row + 1, column]))
+    return float(np.sum(ways * np.exp((episode.times[1 : row + 1] - episode.times[row]) / seconds)) / seconds)
+
+
 def start_actuators(
     simulations: batch.Batch, model: mujoco.MjModel, index: Sequence[dict[str, int]], rows: slice, window: Window, step: float
 ) -> None:

@@ -7,10 +7,11 @@ import pytest
 from edream.catalog import load
 from edream.core.effect import Effect
 from edream.core.episode import Episode
+from edream.diagnosis.remainder import ResidualTorque
 from edream.sim.robot import RobotModel
 from edream.sim.rollout import rollout
 from edream.sim.simulation import Placement, SimulatedRobot
-from edream.sim.start import start_velocity
+from edream.sim.start import recent_speed, start_velocity
 from edream.sim.window import Window
 
 ARM = RobotModel(
@@ -125,3 +126,20 @@ def test_a_replay_begins_with_what_a_servos_integral_has_gathered(ki: float) -> 
         assert np.abs(replayed - window.measured).max() < 1.5e-3
     ((forgotten,),) = rollout(SimulatedRobot(ARM, ()), np.zeros((1, 0)), [Window(episode, 130, 300)])
     assert np.abs(forgotten - Window(episode, 130, 300).measured).max() > 5e-3
+
+
+def test_a_window_remembers_how_fast_the_joint_was_before_it() -> None:
+    times = np.arange(0.0, 8.0, 0.01)
+    command = 0.8 * np.sin(2.0 * times)[:, None]
+    placed = Placement(ResidualTorque(["direction_recent_at_2"], [1.0], {}), ("a",))
+    melting = SimulatedRobot(ARM, (placed,))
+    free = Episode("free", ("a",), times, np.zeros_like(command), times, command)
+    values = np.array([[-0.4]])
+    moved = rollout(melting, values, [Window(free, 0, len(times) - 1)])[0][0]
+    episode = Episode("moved", ("a",), times, moved, times, command)
+    late = Window(episode, 500, len(times) - 1)
+    assert recent_speed(late, 0, 2.0) > 0.5
+    assert recent_speed(Window(episode, 0, 10), 0, 2.0) == 0.0
+    assert np.abs(rollout(melting, values, [late])[0][0] - moved[500:]).max() < 2e-3
+    cold = Episode("cold", ("a",), times[500:] - times[500], moved[500:], times[500:] - times[500], command[500:])
+    assert np.abs(rollout(melting, values, [Window(cold, 0, len(cold.times) - 1)])[0][0] - moved[500:]).max() > 6e-3, "it counts"
