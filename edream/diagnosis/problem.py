@@ -23,7 +23,8 @@ from edream.sim.window import Window, at_rest, whole
 CREDIBLE_FACTOR = 2.5
 SHORTEST = 4.0  # s
 FEWEST = 4  # motions, of which some are kept for the proof
-PIECES, PIECE = 8, 12.0  # how many pieces fewer motions are cut into at least, and how long they are [s] where there is more
+PIECES, MOST_PIECES, PIECE = 8, 40, 12.0  # how many pieces fewer motions are cut into, and how long they are [s] in between
+LEAST_ROWS = 20  # measurements of a motion
 OUTLYING = (0.5, 99.5)  # percentiles of the positions between which a joint moved
 STILL = 0.02  # rad
 NOMINAL_SPREAD = math.log(1.35)
@@ -152,16 +153,19 @@ def motions(episodes: Sequence[Episode], settings: Settings) -> list[Window]:
     Raises:
         EdreamError: too little motion to keep some for the proof.
     """
-    windows = [window for window in whole(episodes, settings.until) if window.last - window.first >= 20]
+    windows = [window for window in whole(episodes, settings.until) if window.last - window.first >= LEAST_ROWS]
     if len(windows) >= FEWEST:
         return windows
     seconds = sum(episode.duration for episode in episodes)
-    if seconds < FEWEST * SHORTEST:
+    count = min(max(PIECES, round(seconds / PIECE)), int(seconds / SHORTEST), MOST_PIECES)
+    pieces = at_rest(episodes, count, settings.until) if count >= FEWEST else []
+    pieces = [window for window in pieces if window.last - window.first >= LEAST_ROWS]
+    if len(pieces) < FEWEST:
         raise EdreamError(
-            f"A diagnosis needs at least {FEWEST} motions, so that some are never fitted, or {FEWEST * SHORTEST:.0f} s of one that "
-            f"can be cut; the data has {len(episodes)} of {seconds:.1f} s in all. Record more."
+            f"A diagnosis needs at least {FEWEST} motions, so that some are never fitted, or a recording that can be cut into as "
+            f"many of {SHORTEST:.0f} s; the data has {len(episodes)} recordings of {seconds:.1f} s in all. Record more."
         )
-    return at_rest(episodes, min(max(PIECES, round(seconds / PIECE)), int(seconds / SHORTEST)))
+    return pieces
 
 
 def shortened(windows: Sequence[Window], settings: Settings) -> list[Window]:

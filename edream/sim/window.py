@@ -51,28 +51,35 @@ def split(episodes: Sequence[Episode], seconds: float, until: float | None = Non
     return windows
 
 
-def at_rest(episodes: Sequence[Episode], count: int) -> list[Window]:
-    """Long episodes cut into `count` windows in all of about one length, at moments when little moves.
+def at_rest(episodes: Sequence[Episode], count: int, until: float | None = None) -> list[Window]:
+    """Long episodes cut into about `count` windows in all of about one length, at moments when little moves.
 
-    Each window has an episode of a name of its own, with its seconds; what was commanded and measured before stays known to it.
+    Each window has an episode of a name of its own, with its seconds; what was commanded and measured before stays known to it. A
+    window ends after `until` seconds [s], if given.
     """
     length = sum(episode.duration for episode in episodes) / count
     windows = []
     for episode in episodes:
         parts = max(1, round(episode.duration / length))
-        ends = [episode.times[0] + episode.duration * i / parts for i in range(1, parts)]
-        rows = [0, *(_quietest(episode, end, episode.duration / parts / 4.0) for end in ends), len(episode.times) - 1]
+        speed = _relative_speed(episode)
+        room = episode.duration / parts / 4.0
+        rows = [0, len(episode.times) - 1]
+        for end in (episode.times[0] + episode.duration * i / parts for i in range(1, parts)):
+            first, last = _row_at(episode, end - room), _row_at(episode, end + room)
+            rows.insert(-1, first + int(np.argmin(speed[first : last + 1])))
         for first, last in pairwise(rows):
-            name = f"{episode.name} {episode.times[first]:.1f} to {episode.times[last]:.1f} s"
-            windows.append(Window(replace(episode, name=name), first, last))
+            ends = last if until is None else min(last, _row_at(episode, episode.times[first] + until))
+            name = f"{episode.name} {episode.times[first]:.1f} to {episode.times[ends]:.1f} s"
+            windows.append(Window(replace(episode, name=name), first, ends))
     return windows
 
 
-def _quietest(episode: Episode, time: float, room: float) -> int:
-    """The row around a time, at most `room` seconds away, where the joints are slowest for what they do in the whole episode."""
-    first, last = _row_at(episode, time - room), _row_at(episode, time + room)
+def _relative_speed(episode: Episode) -> Float[np.ndarray, "T"]:
+    """How fast the joints are at each measurement, each for what it does in the whole episode, summed; needs two measurements."""
+    if len(episode.times) < 2:
+        return np.zeros(len(episode.times))
     speed = np.abs(np.gradient(episode.position, episode.times, axis=0))
-    return first + int(np.argmin((speed / np.maximum(speed.mean(axis=0), 1e-9)).sum(axis=1)[first : last + 1]))
+    return (speed / np.maximum(speed.mean(axis=0), 1e-9)).sum(axis=1)
 
 
 def _row_at(episode: Episode, time: float) -> int:

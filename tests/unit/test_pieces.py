@@ -8,7 +8,7 @@ import pytest
 from benchmarks.blind.cases import robot_of
 from edream.core.episode import Episode
 from edream.core.errors import EdreamError
-from edream.diagnosis.problem import Settings, prepare
+from edream.diagnosis.problem import Settings, motions, prepare
 from edream.sim.window import at_rest
 
 
@@ -47,8 +47,18 @@ def test_one_recording_is_diagnosed_in_pieces_of_which_some_are_never_fitted() -
     assert not proof & fitted
 
 
-def test_too_little_motion_is_a_sentence() -> None:
-    robot = robot_of("pan_tilt")
-    assert robot is not None
-    with pytest.raises(EdreamError, match=r"at least 4 motions.*or 16 s of one that can be cut; the data has 1 of 10.0 s in all"):
-        prepare(robot, [strides(10.0)], Settings())
+def test_a_very_long_recording_is_not_cut_into_more_than_can_be_fitted() -> None:
+    made = motions([strides(3000.0)], Settings(until=40.0))
+    assert len(made) == 40
+    assert max(window.times[-1] for window in made) <= 40.0
+
+
+def test_a_recording_too_short_to_be_a_motion_is_no_piece() -> None:
+    made = motions([strides(20.0, "whole"), strides(0.3, "scrap")], Settings())
+    assert len(made) >= 4 and all(window.episode.name.startswith("whole") for window in made)
+
+
+@pytest.mark.parametrize("lengths", [(10.0,), (5.5, 5.5, 5.5)])
+def test_too_little_motion_is_a_sentence(lengths: tuple[float, ...]) -> None:
+    with pytest.raises(EdreamError, match=r"at least 4 motions.* into as many of 4 s; the data has \d recordings of 1\d\.\d s"):
+        motions([strides(seconds, f"r{number}") for number, seconds in enumerate(lengths)], Settings())
