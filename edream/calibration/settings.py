@@ -82,8 +82,9 @@ class SpaceSettings:
     """What is unknown, and which motions may teach it.
 
     Attributes:
-        effects: what acts: an effect (`coulomb`) on every joint, tied by `ties`; an effect at a place (`coulomb@elbow_flex`,
-            several that share their numbers `coulomb@wrist_flex+wrist_roll`); or a model field (`body.mass@gripper`).
+        effects: what acts: an effect (`coulomb`) on every joint that counts, tied by `ties`; an effect at a place
+            (`coulomb@elbow_flex`, several that share their numbers `coulomb@wrist_flex+wrist_roll`); or a model field
+            (`body.mass@gripper`).
         ties: groups of joints that share their numbers; joints in no group stand alone. [[all]] ties every joint.
         fixed: parameter -> value that is held.
         limits: parameter -> bounds and prior. A name without its place, such as `coulomb.torque`, means every place.
@@ -114,7 +115,7 @@ def simulated_robot(robot: RobotModel, settings: SpaceSettings) -> SimulatedRobo
     Raises:
         EdreamError: an effect, joint, field or parameter does not exist, or bounds contradict each other.
     """
-    bare = [p for text in settings.effects for p in _placements(robot, text, settings.ties)]
+    bare = [p for text in settings.effects for p in _placements(robot, text, settings.ties, settings.joints)]
     placements, met = [], set()
     for placement in bare:
         scaled, fixed, bounds = {}, {}, {}
@@ -172,7 +173,7 @@ def _fit_start(parameter, bounds) -> None:
             changes["start"] = float(np.clip(parameter.start, low, high))
 
 
-def _placements(robot: RobotModel, text: str, ties: Sequence[Sequence[str]]) -> list[Placement]:
+def _placements(robot: RobotModel, text: str, ties: Sequence[Sequence[str]], counted: Sequence[str]) -> list[Placement]:
     name, at, place = text.partition("@")
     targets = tuple(place.split("+")) if at else ()
     if "." in name:
@@ -181,7 +182,8 @@ def _placements(robot: RobotModel, text: str, ties: Sequence[Sequence[str]]) -> 
     if effect.place == "joint":
         for joint in targets:
             robot.joint_index(joint)
-        return [Placement(effect, targets)] if targets else [Placement(effect, group) for group in joint_groups(robot, ties)]
+        groups = [targets] if targets else joint_groups(robot, ties, counted)
+        return [Placement(effect, group) for group in groups]
     if effect.place == "world":
         if targets:
             raise EdreamError(f"Effect {name!r} acts on the whole world; it has no place {place!r}.")

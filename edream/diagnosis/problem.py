@@ -80,7 +80,7 @@ class Problem:
     Attributes:
         robot: the published (or calibrated) model.
         settings: what it was told.
-        groups: the robot's joints in groups that share hardware.
+        groups: the robot's joints in groups that share hardware; those that count in none are left as published.
         fitted: windows that may be fitted, one a motion.
         proof: windows of the motions that are never fitted.
         counted: which joints' errors count, (J,).
@@ -139,7 +139,7 @@ def prepare(robot: RobotModel, episodes: Sequence[Episode], settings: Settings) 
     return Problem(
         robot=kept_clear(robot, episodes),
         settings=settings,
-        groups=tuple(joint_groups(robot, settings.ties)),
+        groups=tuple(joint_groups(robot, settings.ties, settings.joints)),
         fitted=tuple(shortened([w for w in windows if w.episode.name not in kept], settings)),
         proof=tuple(w for w in windows if w.episode.name in kept),
         counted=counted,

@@ -190,8 +190,12 @@ def _one_line(error: Exception) -> str:
     return " ".join(str(error).split())
 
 
-def joint_groups(robot: RobotModel, ties: Sequence[Sequence[str]]) -> list[tuple[str, ...]]:
+def joint_groups(robot: RobotModel, ties: Sequence[Sequence[str]], counted: Sequence[str] = ()) -> list[tuple[str, ...]]:
     """The robot's joints in groups that share their numbers; [["all"]] is one group of all, and joints in no group stand alone.
+
+    Args:
+        counted: joints whose errors count, all where empty. A group without one of them is left out: nothing would say what its
+            numbers are, and a fit would take them anywhere.
 
     Raises:
         EdreamError: a joint does not exist or stands in two groups.
@@ -205,4 +209,5 @@ def joint_groups(robot: RobotModel, ties: Sequence[Sequence[str]]) -> list[tuple
     if twice:
         raise EdreamError(f"Joint {twice[0]!r} stands in two groups of ties; expected one at most.")
     groups = [tuple(group) for group in ties] + [(joint,) for joint in robot.joints if joint not in tied]
-    return sorted(groups, key=lambda group: robot.joints.index(group[0]))
+    told = [group for group in groups if not counted or set(group) & set(counted)]
+    return sorted(told, key=lambda group: robot.joints.index(group[0]))

@@ -69,6 +69,16 @@ def test_the_noise_of_the_measurements_is_found_behind_the_motion(problem: Probl
     assert np.all((noise > 0.7 * NOISE) & (noise < 1.4 * NOISE))
 
 
+def test_joints_that_do_not_count_keep_their_published_numbers(problem: Problem) -> None:
+    """Nothing says what they are: a gripper that was not scored came out eight times as heavy, and held little."""
+    episodes = [window.episode for window in (*problem.fitted, *problem.proof)]
+    pan, tilt = problem.robot.joints
+    lone = prepare(problem.robot, episodes, Settings(joints=(pan,)))
+    assert {place.targets for place in nuisance_placements(lone)} == {(pan,)}
+    tied = prepare(problem.robot, episodes, Settings(joints=(pan,), ties=((pan, tilt),)))
+    assert {place.targets for place in nuisance_placements(tied)} == {(pan, tilt)}
+
+
 def test_no_motion_is_both_fitted_and_proof(problem: Problem) -> None:
     fitted, proof = ({w.episode.name for w in windows} for windows in (problem.fitted, problem.proof))
     assert proof and len(fitted) >= 3 and not fitted & proof
