@@ -79,6 +79,7 @@ policy-paper: .venv/ready
 TABLE := runs/policy-table
 TASKS ?= grab_paper_cup put_pen_in_cup put_remote_in_box put_cup_on_mat
 ROWS ?= ["sft policy.cameras=[cam_high,cam_side,wrist] sft.twins=false","sft","rl"]
+STARTS ?= 500
 PHYSICS ?= ["sft","rl rollouts.model=published","rl","rl rollouts.model=diagnose"]
 LEARN = $(RUN)/edream train-policy robot=arm6_working ingest.fps=25 seed=1 runs=$(TABLE)/runs
 BY_SIGHT = rollouts.eyes=composite sft.twins=true rank.margin=1 'policy.cameras=[cam_high]'
@@ -106,7 +107,7 @@ policy-physics-%: .venv/ready
 	$(call demonstrated,grab_paper_cup,$(ROBOT),$(HIDES))
 	test -f $(MOVED).truth.json || { rm -rf $(MOVED); $(RUN)/edream record robot=arm6 record.truth=$(ROBOT).truth.json record.out=$(MOVED) seed=1; }
 	$(call demonstrated,$*,$(TABLE)/$*-hiding,record.truth=$(ROBOT).truth.json)
-	$(LEARN) $(call BY_STATE,$(TABLE)/$*-hiding) task=$* $(call BESIDE,$(TABLE)/$*-hiding) $(ON_MOTIONS) evaluate.films=0 'evaluate.of=$(PHYSICS)' run=policy-physics-$*
+	$(LEARN) $(call BY_STATE,$(TABLE)/$*-hiding) task=$* $(call BESIDE,$(TABLE)/$*-hiding) $(ON_MOTIONS) evaluate.films=0 evaluate.starts=$(STARTS) 'evaluate.of=$(PHYSICS)' run=policy-physics-$*
 
 bench-dream: .venv/ready
 	$(RUN)/python -m benchmarks.bench_dream

@@ -114,6 +114,16 @@ def test_runs_that_judged_policies_stand_in_one_table_and_the_same_run_twice_cou
     assert "mean of 2 evaluations" in page and page.count(">seed 1</td>") == 2
 
 
+def test_every_policy_that_learned_from_trials_says_how(made, recorded: Path) -> None:
+    """An ablation's page had none of its rounds."""
+    of = 'evaluate.of=["rl rl.rounds=1","rl"]'
+    more = ("rl.rounds=2", "run=rounds", "evaluate.films=0", of)
+    page = pipeline.make_run("train-policy", ("evaluate", "report"), settings(recorded, Path(made[0].runs), *more))[0]["report"]
+    text = page["report.html"]
+    assert text.count('id="figure-ratios-') == 2
+    assert text.count("<td>RL, rl.rounds=1, 1 view</td>") == 2 and text.count("<td>RL, 1 view</td>") == 3, "its rate and its rounds"
+
+
 def test_a_round_is_played_by_the_policy_of_the_round_before(made) -> None:
     cfg, artifacts = made
     first = pipeline.make("rl", settings_of(cfg, 1))

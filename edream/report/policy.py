@@ -2,6 +2,7 @@
 
 import base64
 from collections.abc import Mapping, Sequence
+from itertools import cycle
 from textwrap import fill
 from typing import Any
 
@@ -10,23 +11,28 @@ from markupsafe import Markup
 from matplotlib.figure import Figure as Canvas
 
 from edream.practice.naming import brief
-from edream.report.page import AFTER, BEFORE, COMMAND, Figure, draw, log_scale, page
+from edream.report.page import AFTER, BEFORE, COMMAND, PUBLISHED, Figure, draw, log_scale, page
 from edream.report.recordings import about_recordings
 
 LABEL = 26  # characters in a line beside a figure
+LINES = ((AFTER, "o-"), (BEFORE, "s--"), (PUBLISHED, "^:"), (COMMAND, "d-."))
 
 
 def policy_page(made: Mapping[str, Mapping[str, Any]], robot: str) -> str:
     """The page as HTML.
 
     Args:
-        made: stage -> file name -> value, of ingest, sft, evaluate and, where there was one, rl.
+        made: stage -> file name -> value, of ingest, sft, evaluate and every policy that was judged.
         robot: what to call it.
     """
     judged, sft = made["evaluate"], made["sft"]
     summary = judged["summary.json"]
     rows = summary["rates"]
-    history = made["rl"]["history.json"] if "rl" in made else []
+    called = [brief(row["name"]) for row in rows]
+    names = {row["policy"]: row["name"] if called.count(one) > 1 else one for row, one in zip(rows, called, strict=True)}
+    tried = {policy: name for policy, name in names.items() if policy.split(" ")[0] == "rl"}
+    histories = {name: made[policy]["history.json"] for policy, name in tried.items()}
+    policies = {"SFT": sft} | {name: made[policy] for policy, name in tried.items()}
     outcomes = {(row["policy"], row["start"]): row["success"] for row in judged["outcomes.parquet"].to_pylist()}
     content = {
         "title": f"{summary['task']} on {robot}",
@@ -37,9 +43,13 @@ def policy_page(made: Mapping[str, Mapping[str, Any]], robot: str) -> str:
         "rows": [_row(row) for row in rows],
         "rates": _rates(rows),
         "films": _films(judged, outcomes, rows),
-        "curves": [one for one in (_supervised(sft["losses.json"]), _rounds(history), _ratios(made)) if one],
-        "history": history,
-        "stages": [made[name]["summary.json"]["sentence"] for name in ("sft", "rl") if name in made],
+        "curves": [
+            _supervised(sft["losses.json"]),
+            *([_rounds(histories)] if histories else []),
+            *(_ratios(number, name, made[policy]["losses.json"]) for number, (policy, name) in enumerate(tried.items())),
+        ],
+        "history": [{"policy": name} | row for name, history in histories.items() for row in history],
+        "stages": [(name, one["summary.json"]["sentence"]) for name, one in policies.items()],
         "recordings": about_recordings(made["ingest"]),
     }
     return page("policy.html.j2", content)
@@ -98,33 +108,29 @@ def _supervised(losses: Mapping[str, Any]) -> Figure:
     return draw("supervised", "Supervised training", "The weights with the least held-out error are kept.", plot, (5.6, 3.2))
 
 
-def _rounds(history: Sequence[Mapping[str, Any]]) -> Figure | None:
-    if not history:
-        return None
-
+def _rounds(histories: Mapping[str, Sequence[Mapping[str, Any]]]) -> Figure:
     def plot(canvas: Canvas) -> None:
         axis = canvas.subplots()
-        places = [0, *(row["round"] for row in history)]
-        axis.plot(
-            places, [100 * history[0]["before"]["success"], *(100 * row["kept"]["success"] for row in history)], "o-", color=AFTER
-        )
-        axis.set(xlabel="round [1]", ylabel="success [%]", ylim=(0, 100), xticks=places)
+        for (name, history), (colour, line) in zip(histories.items(), cycle(LINES)):
+            places = [0, *(row["round"] for row in history)]
+            shares = [history[0]["before"]["success"], *(row["kept"]["success"] for row in history)]
+            axis.plot(places, [100 * share for share in shares], line, color=colour, label=name)
+        longest = max(len(history) for history in histories.values())
+        axis.set(xlabel="round [1]", ylabel="success [%]", ylim=(0, 100), xticks=range(longest + 1))
+        if len(histories) > 1:
+            canvas.legend(loc="outside upper left")
 
     caption = "Success on held-out starts in the simulator, nothing left to chance; they decide which weights are kept."
-    return draw("rounds", "Learning from trials", caption, plot, (5.6, 3.2))
+    return draw("rounds", "Learning from trials", caption, plot, (5.6, 3.0 + 0.2 * len(histories)))
 
 
-def _ratios(made: Mapping[str, Mapping[str, Any]]) -> Figure | None:
-    told = made["rl"]["losses.json"] if "rl" in made else []
-    if len(told) < 5:
-        return None
-
+def _ratios(number: int, name: str, told: Sequence[Mapping[str, float]]) -> Figure:
     def plot(canvas: Canvas) -> None:
         axis = canvas.subplots()
         width = max(1, len(told) // 30)
-        for name, colour in (("chosen", AFTER), ("rejected", BEFORE)):
-            smooth = np.convolve([row[name] for row in told], np.ones(width) / width, "valid")
-            axis.plot(np.arange(len(smooth)) + width, smooth, color=colour, label=name)
+        for which, colour in (("chosen", AFTER), ("rejected", BEFORE)):
+            smooth = np.convolve([row[which] for row in told], np.ones(width) / width, "valid")
+            axis.plot(np.arange(len(smooth)) + width, smooth, color=colour, label=which)
         axis.set(xlabel="step of the last round [1]", ylabel="log-ratio per number [1]")
         canvas.legend(loc="outside upper left", ncols=2)
 
@@ -132,7 +138,7 @@ def _ratios(made: Mapping[str, Mapping[str, Any]]) -> Figure | None:
         "Log-likelihood of what was executed, less that under the reference. Both fall a little, since the reference played the "
         "trials or is near who did; the rejected should fall further. Under tpo a round stops where the chosen fall by rl.slack."
     )
-    return draw("ratios", "Chosen and rejected trials", caption, plot, (5.6, 3.2))
+    return draw(f"ratios-{number}", f"Chosen and rejected trials: {name}", caption, plot, (5.6, 3.2))
 
 
 def _films(judged: Mapping[str, Any], outcomes: Mapping[tuple[str, int], bool], rows: Sequence[Mapping[str, Any]]) -> list[Figure]:

@@ -158,8 +158,9 @@ def sentence(rows: Sequence[Mapping[str, Any]], beside: Paired | None = None) ->
     told = ", ".join(f"{brief(row['name'])} {_percent(row['success'])}" for row in rows)
     text = f"Success in the stand-in reality over {rows[0]['success'].trials} starts: {told}."
     if len(rows) > 1:
+        which = "The intervals" if len(rows) == 2 else "The first interval and the last"
         clear = apart(rows[0]["success"], rows[-1]["success"])
-        text += " The intervals do not overlap." if clear else " The intervals overlap: this many starts do not tell them apart."
+        text += f" {which} do not overlap." if clear else f" {which} overlap: this many starts do not tell the two apart."
     if beside is not None:
         one, other = brief(rows[0]["name"]), brief(rows[-1]["name"])
         text += f" {beside.first} starts were done by {one} alone, {beside.second} by {other} alone (p = {beside.chance:.2g})."
