@@ -6,7 +6,7 @@ import mujoco
 
 from edream.core.effect import Effect, Fields, Values, joint_index
 from edream.core.parameters import Parameter
-from edream.sim.scales import largest, travel
+from edream.sim.scales import largest, position_gain, travel
 
 
 class Spring(Effect):
@@ -25,17 +25,18 @@ class Spring(Effect):
     of_type = False
 
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
-        high = largest(model, targets)
+        # up to half as stiff as the servo: at a light wrist that is many times what gravity asks for
+        high = max(2.0 * largest(model, targets), *(0.5 * position_gain(model, joint) for joint in targets))
         low, top = travel(model, targets[0])
         return (
-            Parameter("stiffness", "N m/rad", 0.0, 2.0 * high, 0.0, absent=0.0),
+            Parameter("stiffness", "N m/rad", 0.0, high, 0.0, absent=0.0),
             Parameter("reference", "rad", low, top, 0.5 * (low + top)),
         )
 
     def probes(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[dict[str, float], ...]:
-        stiffness, reference = self.parameters(model, targets)
+        reference = self.parameters(model, targets)[1]
         rests = (reference.low, reference.start, reference.high)
-        return tuple({"stiffness": 0.05 * stiffness.high, "reference": rest} for rest in rests)
+        return tuple({"stiffness": 0.1 * largest(model, targets), "reference": rest} for rest in rests)
 
     def write(self, fields: Fields, target: str, values: Values) -> None:
         index = joint_index(fields.model, target)

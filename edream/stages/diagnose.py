@@ -132,4 +132,4 @@ def summary(found: Diagnosis, bundle: Mapping[str, Any], more: str) -> dict[str,
     }
 
 
-ENTRY = Stage("diagnose", 34, ("ingest",), DiagnoseConfig, run, sources, ("mujoco", "numpy", "scipy"))
+ENTRY = Stage("diagnose", 35, ("ingest",), DiagnoseConfig, run, sources, ("mujoco", "numpy", "scipy"))

@@ -109,3 +109,13 @@ def test_a_torque_scale_follows_a_model_that_was_changed() -> None:
     model.body_mass[:] *= 3.0
     model.body_inertia[:] *= 3.0
     assert torque_scale(model, "tilt") > 1.5 * before
+
+
+def test_a_spring_at_a_light_wrist_may_be_as_stiff_as_its_servo_can_still_work_against() -> None:
+    """One of 1.5 N m/rad beside a servo of 20 was beyond a box that only knew how little gravity asks for, and had no name."""
+    robot, spring = robot_of("arm6"), catalog.load("effects", "spring", Effect)
+    assert robot is not None
+    highest = {joint: spring.parameters(robot.model, (joint,))[0].high for joint in ("joint2", "joint6")}
+    assert highest["joint6"] == 15.0 > 50.0 * torque_scale(robot.model, "joint6"), "half of the gain"
+    assert highest["joint2"] == 110.0 > 4.0 * torque_scale(robot.model, "joint2")
+    assert all(probe["stiffness"] < 0.2 for probe in spring.probes(robot.model, ("joint6",))), "probes stay small"
