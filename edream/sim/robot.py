@@ -202,7 +202,7 @@ def joint_groups(robot: RobotModel, ties: Sequence[Sequence[str]], counted: Sequ
     """
     if [list(group) for group in ties] == [["all"]]:
         return [robot.joints]
-    for joint in (joint for group in ties for joint in group):
+    for joint in (*counted, *(joint for group in ties for joint in group)):
         robot.joint_index(joint)
     tied = [joint for group in ties for joint in group]
     twice = sorted({joint for joint in tied if tied.count(joint) > 1})

@@ -42,3 +42,5 @@ def test_an_effect_without_a_place_acts_on_joints_that_count_and_with_one_wherev
     assert everywhere.space.names == ("coulomb.torque[pan]",)
     named = simulated_robot(robot, SpaceSettings(("coulomb", "viscous@tilt"), joints=("pan",)))
     assert named.space.names == ("coulomb.torque[pan]", "viscous.damping[tilt]")
+    with pytest.raises(EdreamError, match="pann"):
+        simulated_robot(robot, SpaceSettings(("coulomb",), joints=("pann",)))
