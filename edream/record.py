@@ -32,6 +32,7 @@ class RecordConfig:
         format: format of the data set.
         motions: number of recordings.
         seconds: length of each [s].
+        gain: share of their usual position gain that the servos have; another than 1 is noted as the condition `servo_gain`.
         motion: a table of commands (time [s], then a column [rad or m] a joint) to play instead of motions drawn by chance, such as
             the `next_motion.csv` of a diagnosis; its length counts then.
         rate: rows per second [Hz].
@@ -53,6 +54,7 @@ class RecordConfig:
     format: str = "aloha_hdf5"
     motions: int = 12
     seconds: float = 10.0
+    gain: float = 1.0
     motion: Path | None = None
     rate: float = 50.0
     step: float = 0.0005
@@ -68,7 +70,7 @@ class RecordConfig:
     cell: CellLook = field(default_factory=CellLook)
 
     def __post_init__(self) -> None:
-        for name in ("motions", "seconds", "rate", "step", "counts", "episodes", "control"):
+        for name in ("motions", "seconds", "rate", "step", "counts", "episodes", "control", "gain"):
             if getattr(self, name) <= 0:
                 raise EdreamError(f"record.{name} is {getattr(self, name)}; expected a number above 0.")
         if self.step > 0.001:
@@ -103,11 +105,13 @@ def record(robot: RobotModel, config: RecordConfig, seed: int = 0) -> dict[str, 
             raise EdreamError(f"There is already something at {path}; record.out must name a new folder.")
     form = catalog.load("formats", config.format, Format)
     truth, motions = hidden_robot(robot, config, seed), np.random.SeedSequence(seed).spawn(2)[1]
-    recorder = Recorder(config.rate, config.jitter, config.noise, config.counts, config.step)
+    noted = {} if config.gain == 1.0 else {"servo_gain": config.gain}
+    recorder = Recorder(config.rate, config.jitter, config.noise, config.counts, config.step, conditions=noted)
     filming = Filming(robot, config.look, seed) if config.video else None
     chance = int(motions.generate_state(1)[0])
     plan = None if config.motion is None else read_motion(config.motion, robot, config.rate)
-    made = make_recordings(robot, truth, chance, config.motions, config.seconds, recorder, filming, plan)
+    moved = truth.at_gain(robot.model, config.gain)
+    made = make_recordings(robot, moved, chance, config.motions, config.seconds, recorder, filming, plan)
     out.parent.mkdir(parents=True, exist_ok=True)
     if filming is None:
         form.write(made, out)

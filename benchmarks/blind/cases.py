@@ -124,12 +124,12 @@ def record_case(case: Case, robot: RobotModel, folder: Path, session: Session) -
     return data, sealed
 
 
-def record_again(case: Case, robot: RobotModel, folder: Path, motion: Path) -> Path:
-    """The same robot plays a suggested motion, under `folder/again`; returns the data set."""
+def record_again(case: Case, robot: RobotModel, folder: Path, motion: Path, gain: float) -> Path:
+    """The same robot plays a suggested motion at a share of its servos' gain, under `folder/again`; returns the data set."""
     data = folder / "again" / case.code
     shutil.rmtree(data, ignore_errors=True)
     known = folder / "truth" / f"{case.code}.json"
-    config = RecordConfig(data, case.effects, format="lerobot_v3", motions=AGAIN, motion=motion, truth=known)
+    config = RecordConfig(data, case.effects, format="lerobot_v3", motions=AGAIN, motion=motion, gain=gain, truth=known)
     record(robot, config, seed=case.seed + 1000)
     truth_path(data).unlink()  # it is the one that lies in `folder/truth`
     return data

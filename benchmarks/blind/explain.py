@@ -27,8 +27,9 @@ def main() -> None:
     given = parser.parse_args()
     blindfold()
     diagnosis, result = explain(given.robot, given.data, given.beside)
-    if given.suggest and (table := suggestion(diagnosis)):
-        given.suggest.write_text(table, encoding="utf-8")
+    if given.suggest and (motion := suggestion(diagnosis)):
+        given.suggest.write_text(motion.table(), encoding="utf-8")
+        given.suggest.with_suffix(".json").write_text(json.dumps(dict(motion.conditions)), encoding="utf-8")
     given.out.write_text(json.dumps(_finite(result)) + "\n", encoding="utf-8")
     if given.baselines:
         from benchmarks.blind.baselines import run_baselines
@@ -59,16 +60,15 @@ def explain(robot_path: Path, data: Path, beside: Path | None = None) -> tuple[A
     return diagnosis, summary(diagnosis) | {"seconds": time.monotonic() - began}
 
 
-def suggestion(found: Any) -> str | None:
-    """The motion that a diagnosis in doubt would have recorded next, as a table; None where it is not in doubt or knows of none."""
+def suggestion(found: Any) -> Any:
+    """The motion that a diagnosis in doubt would have recorded next; None where it is not in doubt or knows of none."""
     import numpy as np
 
     from edream.diagnosis.next_motion import suggest
 
     if len(found.contenders) < 2:
         return None
-    motion = suggest(found.problem, [fit for _, fit in found.contenders], np.random.default_rng(found.problem.settings.seed))
-    return None if motion is None else motion.table()
+    return suggest(found.problem, [fit for _, fit in found.contenders], np.random.default_rng(found.problem.settings.seed))
 
 
 def summary(found: Any) -> dict[str, Any]:

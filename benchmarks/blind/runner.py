@@ -48,8 +48,9 @@ def run_case(
         if again:
             result["again"] = None
         if motion.exists():
-            shutil.copytree(record_again(case, robot, folder, motion), place / "more")
-            result["again"] = _blindfolded(place, "again.json", ["--beside", str(place / "more")])
+            gain = json.loads(motion.with_suffix(".json").read_text(encoding="utf-8")).get("servo_gain", 1.0)
+            shutil.copytree(record_again(case, robot, folder, motion, gain), place / "more")
+            result["again"] = {"gain": gain} | _blindfolded(place, "again.json", ["--beside", str(place / "more")])
         return result
 
 

@@ -12,7 +12,7 @@ from edream.core.errors import EdreamError, require, unknown_name
 from edream.core.parameters import ParameterSpace
 from edream.sim.mjcf_field import MjcfField
 from edream.sim.robot import RobotModel, joint_groups, load_robot
-from edream.sim.simulation import Placement, Scaling, SimulatedRobot
+from edream.sim.simulation import USUAL, Placement, Scaling, SimulatedRobot
 
 WEAK_PRIOR = 0.5  # of the unit box; decides only what the data leave open
 
@@ -115,6 +115,7 @@ def simulated_robot(robot: RobotModel, settings: SpaceSettings) -> SimulatedRobo
     Raises:
         EdreamError: an effect, joint, field or parameter does not exist, or bounds contradict each other.
     """
+    known_scalings = scalings(settings.scaled)
     bare = [p for text in settings.effects for p in _placements(robot, text, settings.ties, settings.joints)]
     placements, met = [], set()
     for placement in bare:
@@ -123,8 +124,8 @@ def simulated_robot(robot: RobotModel, settings: SpaceSettings) -> SimulatedRobo
             quantity, full = f"{placement.effect.name}.{parameter.name}", placement.full_name(parameter.name)
             met |= {quantity, full}
             for name in (quantity, full):
-                if name in settings.scaled:
-                    scaled[parameter.name] = Scaling(settings.scaled[name].condition, settings.scaled[name].reference)
+                if name in known_scalings:
+                    scaled[parameter.name] = known_scalings[name]
                 if name in settings.fixed:
                     fixed[parameter.name] = settings.fixed[name]
                 if name in settings.limits:
@@ -139,6 +140,11 @@ def simulated_robot(robot: RobotModel, settings: SpaceSettings) -> SimulatedRobo
         if name not in met:
             raise unknown_name("parameter", name, met)
     return SimulatedRobot(robot, tuple(with_weak_priors(robot, p) for p in placements))
+
+
+def scalings(scaled: Mapping[str, ScaledBy]) -> dict[str, Scaling]:
+    """What conditions of a recording multiply: what the config says, and the servos' gain where a recording notes another."""
+    return {**USUAL, **{name: Scaling(one.condition, one.reference) for name, one in scaled.items()}}
 
 
 def with_weak_priors(robot: RobotModel, placement: Placement) -> Placement:

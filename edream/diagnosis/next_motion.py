@@ -1,6 +1,6 @@
 """What to record next: commands under which the remaining candidates would move differently."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -14,15 +14,18 @@ from edream.diagnosis.decide import DISTINCT
 from edream.diagnosis.descent import Fit
 from edream.diagnosis.problem import Problem
 from edream.sim.rollout import rollout
+from edream.sim.simulation import SERVO_GAIN
 from edream.sim.window import Window
 
 SECONDS, RATE, SETTLE = 20.0, 50.0, 1.0
+RESTED = round(SETTLE * RATE)  # rows after which a planned motion no longer shows that it began where no servo holds a weight
 DRAWN, JUDGED, CHANGED = 40, 6, 4
 MARGIN = 0.05  # of a joint's range is kept free at either end
 INVISIBLE = 0.01  # floors: predictions this near are the same
 # of the floor squared: the mean difference that a motion must promise; recorded as often as the others, it tells
 TELLING = 2 * DISTINCT
 HASTE = 1.2  # times the fastest command of the recordings
+SOFT = 0.5  # of the usual gain of the servos: what pulls beside a servo, and what only reads another angle, differ then
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,13 +36,17 @@ class Motion:
         joints: names, (J,).
         times: of the commands [s], (K,).
         command: positions [rad or m], (K, J).
-        evidence: expected log-likelihood ratio [nat] between the two candidates that are hardest to tell apart.
+        evidence: expected log-likelihood ratio [nat] between the two candidates that are hardest to tell apart, of those it tells.
+        told: how many pairs of candidates it tells apart.
+        conditions: what has to be set on the robot for it, and noted with its recordings, as `conditions.csv` has it.
     """
 
     joints: tuple[str, ...]
     times: Float[np.ndarray, "K"]
     command: Float[np.ndarray, "K J"]
     evidence: float
+    told: int
+    conditions: Mapping[str, float]
 
     def table(self) -> str:
         """The commands as CSV: time [s], a column [rad or m] a joint."""
@@ -59,6 +66,9 @@ class Room:
 
 def suggest(problem: Problem, contenders: Sequence[Fit], rng: np.random.Generator) -> Motion | None:
     """The motion, out of many drawn at random, that best separates models which the recordings cannot tell apart.
+
+    Where the servos at their usual gain leave pairs untold, motions under a lower gain are looked at, too: a position servo
+    beside a spring moves as one with another gain and gear ratio does, whatever it is commanded, until its gain is another.
 
     The evidence that a motion would give between two models is the squared difference of their predictions, weighed by the noise
     and by how far each model's own numbers could move to imitate the other,
@@ -80,20 +90,43 @@ def suggest(problem: Problem, contenders: Sequence[Fit], rng: np.random.Generato
     """
     if not all(holds_position(problem.robot.model, joint) for joint in problem.fitted[0].episode.joints):
         return None
+    usual = best_under(problem, contenders, rng, {})
+    pairs = len(contenders) * (len(contenders) - 1) // 2
+    if (usual is not None and usual.told == pairs) or not (lower := lower_gain(problem)):
+        return usual
+    soft = best_under(problem, contenders, rng, lower)
+    return soft if soft is not None and (usual is None or soft.told > usual.told) else usual
+
+
+def lower_gain(problem: Problem) -> dict[str, float]:
+    """The condition under which the servos have `SOFT` times the gain that they mostly had; empty where no condition scales it."""
+    scaling = problem.settings.scaled.get(SERVO_GAIN)
+    if scaling is None:
+        return {}
+    had = [window.episode.conditions.get(scaling.condition, scaling.reference) for window in problem.fitted]
+    return {scaling.condition: SOFT * float(np.median(had))}
+
+
+def best_under(
+    problem: Problem, contenders: Sequence[Fit], rng: np.random.Generator, conditions: Mapping[str, float]
+) -> Motion | None:
+    """The best motion under conditions other than those of the first recording; None where none tells two models apart."""
     room = room_of(problem)
     drawn = [draw(room, rng) for _ in range(DRAWN)]
-    rough = _least(separations(problem, contenders, drawn), (INVISIBLE * problem.floor) ** 2)
+    rough = _least(separations(problem, contenders, drawn, conditions), (INVISIBLE * problem.floor) ** 2)
     best = [drawn[i] for i in np.argsort(-rough)[:JUDGED]]
     changed = [mixed(one, drawn[int(rng.integers(DRAWN))], rng) for one in best for _ in range(CHANGED)]
-    rough = _least(separations(problem, contenders, changed), (INVISIBLE * problem.floor) ** 2)
+    rough = _least(separations(problem, contenders, changed, conditions), (INVISIBLE * problem.floor) ** 2)
     best += [changed[i] for i in np.argsort(-rough)[:JUDGED]]
-    worth = 0.5 * TELLING * len(best[0]) * int(problem.counted.sum()) / problem.settings.stride
-    sure = _least(evidences(problem, contenders, best), worth)
+    worth = 0.5 * TELLING * (len(best[0]) - RESTED) * int(problem.counted.sum()) / problem.settings.stride
+    found = evidences(problem, contenders, best, conditions)
+    sure = _least(found, worth)
     winner = int(np.argmax(sure))
     if sure[winner] < worth:
         return None
     times = np.arange(len(best[winner])) / RATE
-    return Motion(problem.fitted[0].episode.joints, times, best[winner], float(sure[winner]))
+    told = int((found[winner] >= worth).sum())
+    return Motion(problem.fitted[0].episode.joints, times, best[winner], float(sure[winner]), told, dict(conditions))
 
 
 def _least(pairs: Float[np.ndarray, "M pairs"], worth: float) -> Float[np.ndarray, "M"]:
@@ -157,26 +190,33 @@ def mixed(one: np.ndarray, other: np.ndarray, rng: np.random.Generator) -> Float
     return np.where(rng.random(one.shape[1]) < 0.5, one, other)
 
 
-def as_window(problem: Problem, command: Float[np.ndarray, "K J"]) -> Window:
-    """A planned motion as something that can be simulated; it has no measurement but its start."""
+def as_window(problem: Problem, command: Float[np.ndarray, "K J"], conditions: Mapping[str, float]) -> Window:
+    """A planned motion as something that can be simulated; it has no measurement but its start.
+
+    Its conditions are those of the first recording, but for those that are given.
+    """
     sample = problem.fitted[0].episode
     times = np.arange(len(command)) / RATE
-    episode = Episode("planned", sample.joints, times, command, times, command, conditions=sample.conditions)
+    episode = Episode("planned", sample.joints, times, command, times, command, conditions={**sample.conditions, **conditions})
     return Window(episode, 0, len(times) - 1)
 
 
-def separations(problem: Problem, contenders: Sequence[Fit], motions: Sequence[np.ndarray]) -> Float[np.ndarray, "M pairs"]:
+def separations(
+    problem: Problem, contenders: Sequence[Fit], motions: Sequence[np.ndarray], conditions: Mapping[str, float]
+) -> Float[np.ndarray, "M pairs"]:
     """Mean squared difference [rad^2] between every two models' predictions of each motion."""
-    windows = [as_window(problem, one) for one in motions]
-    predicted = [rollout(f.objective.simulated, f.values, windows, problem.settings.threads) for f in contenders]
+    windows = [as_window(problem, one, conditions) for one in motions]
+    predicted = [rollout(f.objective.simulated.swift, f.values, windows, problem.settings.threads) for f in contenders]
     pairs = list(combinations(predicted, 2))
-    apart = [[np.mean((a[m][0] - b[m][0])[:, problem.counted] ** 2) for a, b in pairs] for m in range(len(motions))]
+    apart = [[np.mean((a[m][0] - b[m][0])[RESTED:, problem.counted] ** 2) for a, b in pairs] for m in range(len(motions))]
     return np.nan_to_num(np.array(apart), nan=0.0)
 
 
-def evidences(problem: Problem, contenders: Sequence[Fit], motions: Sequence[np.ndarray]) -> Float[np.ndarray, "M pairs"]:
+def evidences(
+    problem: Problem, contenders: Sequence[Fit], motions: Sequence[np.ndarray], conditions: Mapping[str, float]
+) -> Float[np.ndarray, "M pairs"]:
     """Expected log-likelihood ratio [nat] between every two models over each motion."""
-    windows = [as_window(problem, one) for one in motions]
+    windows = [as_window(problem, one, conditions) for one in motions]
     predictions = [_with_slopes(problem, fit, windows) for fit in contenders]
     out = []
     for m in range(len(motions)):
@@ -192,7 +232,7 @@ def _with_slopes(problem: Problem, fit: Fit, windows: Sequence[Window]) -> list[
     steps = 0.05 * root.T
     sets = np.clip(np.vstack([fit.unit, fit.unit + steps]), 0.0, 1.0)
     results = rollout(fit.objective.simulated.swift, fit.space.from_unit(sets), windows, problem.settings.threads)
-    flat = [r[:, :: problem.settings.stride, problem.counted].reshape(len(sets), -1) for r in results]
+    flat = [r[:, RESTED :: problem.settings.stride, problem.counted].reshape(len(sets), -1) for r in results]
     return [(f[0], (f[1:] - f[0]).T / 0.05) for f in flat]
 
 

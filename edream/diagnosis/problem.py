@@ -16,7 +16,7 @@ from edream.core.effect import Effect
 from edream.core.episode import Episode
 from edream.core.errors import EdreamError, unknown_name
 from edream.sim.robot import RobotModel, joint_groups
-from edream.sim.simulation import Placement, Scaling
+from edream.sim.simulation import USUAL, Placement, Scaling
 from edream.sim.touch import kept_clear
 from edream.sim.window import Window, at_rest, whole
 
@@ -56,7 +56,7 @@ class Settings:
 
     nuisance: tuple[str, ...] = ("servo_gain", "viscous", "coulomb", "armature")
     ties: tuple[tuple[str, ...], ...] = ()
-    scaled: Mapping[str, Scaling] = field(default_factory=dict)
+    scaled: Mapping[str, Scaling] = field(default_factory=lambda: dict(USUAL))
     limits: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     effects: tuple[str, ...] = ()
     ignored: tuple[str, ...] = ()

@@ -15,7 +15,8 @@ class ServoGain(Effect):
 
         tau = kp (u - q) - kv qd
 
-    Too low a gain sags under gravity, equally in both directions and at all speeds. Writes `gainprm[0]` and `biasprm[1]` together.
+    Too low a gain sags under gravity, equally in both directions and at all speeds. Writes `gainprm[0]` and `biasprm[1]` together,
+    and `biasprm[0]` where the model has one, so that the servo still holds the same positions.
     Parameter: kp [N m/rad], absolute. A motor or a velocity servo has no kp: there it is what a command of 1 gives,
 
         tau = gain u - b qd,
@@ -55,8 +56,12 @@ class ServoGain(Effect):
         if "gain" in values:
             fields["actuator_gainprm"][:, actuator, 0] = values["gain"]
             return
+        gain, law = fields.model.actuator_gainprm[actuator], fields.model.actuator_biasprm[actuator]
+        share = values["kp"] / -law[1]
         if not is_pid(fields.model, actuator):
-            fields["actuator_gainprm"][:, actuator, 0] = values["kp"]
+            fields["actuator_gainprm"][:, actuator, 0] = gain[0] * share
+        if law[0]:
+            fields["actuator_biasprm"][:, actuator, 0] = law[0] * share
         fields["actuator_biasprm"][:, actuator, 1] = -values["kp"]
 
 

@@ -71,6 +71,14 @@ class Truth:
             arrays[quantity] = np.array([by_joint.get(j, v) for j, v in zip(plant.joints, getattr(plant, quantity), strict=True)])
         return plant.with_values(**arrays)
 
+    def at_gain(self, model: mujoco.MjModel, share: float) -> "Truth":
+        """The same robot with every servo's position gain set to a share of what it truly is."""
+        if share == 1.0:
+            return self
+        plant = self.plant(model)
+        gains = {joint: share * float(gain) for joint, gain in zip(plant.joints, plant.kp, strict=True)}
+        return replace(self, nuisance={**self.nuisance, "kp": gains})
+
     def terms(self, model: mujoco.MjModel) -> tuple[Term, ...]:
         """The hidden effects, ready for one run.
 

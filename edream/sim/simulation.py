@@ -44,10 +44,22 @@ def unit_at(parameter: Parameter, model: mujoco.MjModel, targets: Sequence[str])
 
 @dataclass(frozen=True)
 class Scaling:
-    """A known condition of a recording that multiplies a parameter: value x condition / reference."""
+    """A known condition of a recording that multiplies a parameter: value x condition / reference.
+
+    Attributes:
+        condition: its name.
+        reference: its value where the parameter is as the model has it.
+        otherwise: what it is in a recording that does not say; None where every recording has to.
+    """
 
     condition: str
     reference: float
+    otherwise: float | None = None
+
+
+SERVO_GAIN = "servo_gain.kp"
+# every recording may say by what share of the usual one its servos' position gain was another
+USUAL = {SERVO_GAIN: Scaling("servo_gain", 1.0, otherwise=1.0)}
 
 
 @dataclass(frozen=True)
@@ -208,13 +220,13 @@ def _may_touch(model: mujoco.MjModel) -> bool:
 
 def _factors(scaling: Scaling, conditions: Sequence[Mapping[str, float]]) -> np.ndarray:
     for one in conditions:
-        if scaling.condition not in one:
+        if scaling.condition not in one and scaling.otherwise is None:
             known = ", ".join(sorted(one)) or "none"
             raise EdreamError(
                 f"A recording has no condition {scaling.condition!r}, which the robot's config uses to scale a parameter. "
                 f"What it has: {known}. Add the column to conditions.csv."
             )
-    return np.array([one[scaling.condition] for one in conditions]) / scaling.reference
+    return np.array([one.get(scaling.condition, scaling.otherwise) for one in conditions], dtype=float) / scaling.reference
 
 
 class BatchFields:

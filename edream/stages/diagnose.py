@@ -4,19 +4,19 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from edream.calibration.settings import Limits, RobotSettings, ScaledBy
+from edream.calibration.settings import Limits, RobotSettings, ScaledBy, scalings
 from edream.core.effect import holds_position
 from edream.core.stage import Artifact, Bundle, Source, Stage, Work
 from edream.diagnosis.evidence import evidence
-from edream.diagnosis.next_motion import Motion, suggest
+from edream.diagnosis.next_motion import SOFT, Motion, suggest
 from edream.diagnosis.problem import Settings, prepare
 from edream.diagnosis.verdict import Diagnosis, diagnose
 from edream.ingest.episode_file import write_commands
 from edream.ingest.stored import stored_episodes
 from edream.sim.emit import emit
-from edream.sim.simulation import Scaling
 
 HOOK = "hook.py"
+CONDITIONS = "next_motion.json"  # what to set, and to note, for the recordings of the next motion
 
 
 @dataclass(frozen=True)
@@ -76,21 +76,28 @@ def motion_files(motion: Motion, work: Work) -> Bundle:
     """The motion to record next: a table (time [s], a column [rad] a joint) and the same as MCAP."""
     path = work.folder("next_motion") / "next_motion.mcap"
     write_commands(motion.joints, motion.times, motion.command, path)
-    return {"next_motion.csv": motion.table(), "next_motion.mcap": path}
+    return {"next_motion.csv": motion.table(), "next_motion.mcap": path, CONDITIONS: dict(motion.conditions)}
+
+
+def with_conditions(conditions: Mapping[str, float]) -> str:
+    """What has to be set on the robot for a suggested motion, in words; empty where nothing has."""
+    if not conditions:
+        return ""
+    ((name, value),) = conditions.items()
+    return f" with {SOFT:g} times the servos' usual position gain, and note {name} = {value:g} of them in conditions.csv"
 
 
 def settings_of(config: DiagnoseConfig) -> Settings:
     """The diagnosis' own settings from the config."""
     options = {key: value for key, value in vars(config.diagnose).items() if key not in ("next_motion", "scaled", "limits")}
-    scaled = {name: Scaling(one.condition, one.reference) for name, one in config.diagnose.scaled.items()}
     limits = {name: {k: v for k, v in vars(one).items() if v is not None} for name, one in config.diagnose.limits.items()}
-    return Settings(**options, scaled=scaled, limits=limits, seed=config.seed)
+    return Settings(**options, scaled=scalings(config.diagnose.scaled), limits=limits, seed=config.seed)
 
 
 def advice(found: Diagnosis, bundle: Mapping[str, Any]) -> str:
     """What to do about a doubt, for which a motion was looked for."""
     if "next_motion.csv" in bundle:
-        return " Record the suggested motion a few times."
+        return f" Record the suggested motion a few times{with_conditions(bundle[CONDITIONS])}."
     held = all(holds_position(found.problem.robot.model, joint) for joint in found.problem.joints)
     return " No motion of the joints was found that would tell." if held else " Motions are suggested for position servos alone."
 
@@ -129,7 +136,8 @@ def summary(found: Diagnosis, bundle: Mapping[str, Any], more: str) -> dict[str,
         "model": "model.xml",
         "hook": HOOK if HOOK in bundle else None,
         "next_motion": "next_motion.csv" if "next_motion.csv" in bundle else None,
+        "next_motion_conditions": bundle.get(CONDITIONS, {}),
     }
 
 
-ENTRY = Stage("diagnose", 35, ("ingest",), DiagnoseConfig, run, sources, ("mujoco", "numpy", "scipy"))
+ENTRY = Stage("diagnose", 36, ("ingest",), DiagnoseConfig, run, sources, ("mujoco", "numpy", "scipy"))

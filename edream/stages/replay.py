@@ -10,7 +10,7 @@ import numpy as np
 from edream import catalog
 from edream.calibration.errors import perfect_tracking, summary
 from edream.calibration.pose import Chain
-from edream.calibration.settings import RobotSettings, ScaledBy
+from edream.calibration.settings import RobotSettings, ScaledBy, scalings
 from edream.core.effect import Effect
 from edream.core.episode import Episode
 from edream.core.errors import EdreamError, unknown_name
@@ -57,7 +57,11 @@ def run(inputs: Mapping[str, Artifact], config: ReplayConfig, work: Work) -> Bun
     """Replay every recording and score it."""
     options = config.replay
     episodes = list(stored_episodes(inputs["ingest"]))
-    scaled = {name: Scaling(one.condition, one.reference) for name, one in config.robot.scaled.items()}
+    scaled = {
+        name: one
+        for name, one in scalings(config.robot.scaled).items()
+        if one.otherwise is None or any(one.condition in episode.conditions for episode in episodes)
+    }
     found = replay(config.robot.load(), episodes, options.joints, options.until, options.hook, scaled=scaled)
     count = f"{len(episodes)} motions" if len(episodes) != 1 else "1 motion"
     sentence = (

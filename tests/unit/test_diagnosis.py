@@ -6,14 +6,12 @@ import numpy as np
 import pytest
 
 from benchmarks.blind.cases import robot_of
-from edream.core.episode import Episode
 from edream.core.errors import EdreamError
 from edream.core.parameters import Parameter
 from edream.diagnosis.candidates import Candidate, alike, groups_of, placement
 from edream.diagnosis.decide import comes_down_to, refitted_without, rivals, simplest, stands, told_apart
 from edream.diagnosis.descent import Fit, begin, descend
 from edream.diagnosis.left_out import left_out_errors
-from edream.diagnosis.next_motion import as_window, draw, room_of, separations, suggest
 from edream.diagnosis.nuisance import fit_nuisance, published
 from edream.diagnosis.problem import Problem, Settings, credible, measurement_noise, nuisance_placements, prepare
 from edream.diagnosis.remainder import chosen_terms
@@ -34,34 +32,17 @@ from edream.diagnosis.trials import Trial, as_published
 from edream.diagnosis.verdict import Named, falls_short, is_strange, judge, sentence
 from edream.sim.rollout import rollout
 from edream.sim.simulation import SimulatedRobot
-
-NOISE = 3e-4
-
-
-def _episode(number: int, robot, seconds: float = 4.0) -> Episode:
-    rng = np.random.default_rng(number)
-    times = np.arange(0.0, seconds, 0.02)
-    phase = rng.uniform(0.0, 6.0, 2)
-    command = 0.5 * np.sin(times[:, None] * rng.uniform(1.0, 3.0, 2) + phase)
-    return Episode(f"motion_{number}", robot.joints, times, command, times, command)
+from tests.still_problem import NOISE, commanded, fit_of, having, still_problem
 
 
 @pytest.fixture(scope="module")
 def problem() -> Problem:
-    robot = robot_of("pan_tilt")
-    assert robot is not None
-    bare = prepare(robot, [_episode(i, robot) for i in range(5)], Settings())
-    windows = (*bare.fitted, *bare.proof)
-    moved = rollout(SimulatedRobot(robot, ()), np.zeros((1, 0)), windows)
-    rng = np.random.default_rng(7)
-    measured = [replace(w.episode, position=m[0] + rng.normal(0.0, NOISE, m[0].shape)) for w, m in zip(windows, moved, strict=True)]
-    return prepare(robot, measured, Settings())
+    return still_problem()
 
 
 @pytest.fixture(scope="module")
 def fit(problem: Problem) -> Fit:
-    simulated = SimulatedRobot(problem.robot, nuisance_placements(problem))
-    return begin(replace(published(problem), simulated=simulated), simulated.space.to_unit(simulated.space.start()))
+    return fit_of(problem)
 
 
 def test_the_noise_of_the_measurements_is_found_behind_the_motion(problem: Problem) -> None:
@@ -104,51 +85,8 @@ def test_effects_that_mujoco_cannot_combine_are_not_tried(problem: Problem, fit:
     assert fits_beside(problem, slewing, [Candidate("gear_ratio", ("pan",))])
 
 
-def test_the_suggested_motion_stays_inside_the_robots_room_and_separates_better_than_most(problem: Problem, fit: Fit) -> None:
-    fits = []
-    for effect, quantities in (("actuator_delay", {"time": 0.05}), ("actuator_lag", {"time": 0.05})):
-        place = placement(problem, Candidate(effect, ("tilt",)))
-        extended, absent = extend(fit, [place])
-        values = with_quantities(extended, absent, [place], [quantities])
-        fits.append(begin(extended, extended.simulated.space.to_unit(values)))
-    motion = suggest(problem, fits, np.random.default_rng(1))
-    assert motion is not None
-    room = room_of(problem)
-    assert np.all(motion.command >= room.low - 1e-9) and np.all(motion.command <= room.high + 1e-9)
-    speed = np.abs(np.diff(motion.command, axis=0)) / np.diff(motion.times)[:, None]
-    assert np.all(speed.max(axis=0) <= 1.05 * room.speed)
-    others = [draw(room, np.random.default_rng(100 + i)) for i in range(15)]
-    apart = separations(problem, fits, [motion.command, *others])
-    assert apart[0, 0] > np.median(apart[1:])
-    assert motion.evidence > 0.0 and as_window(problem, motion.command).times[-1] > 5.0
-
-
-def test_no_motion_is_suggested_between_two_names_of_one_torque(problem: Problem, fit: Fit) -> None:
-    fits = []
-    for effect, quantities in (("constant_torque", {"torque": -0.05}), ("asymmetric_coulomb", {"difference": 0.05})):
-        place = placement(problem, Candidate(effect, ("tilt",)))
-        extended, absent = extend(fit, [place])
-        values = with_quantities(extended, absent, [place], [quantities])
-        fits.append(begin(extended, extended.simulated.space.to_unit(values)))
-    assert suggest(problem, fits, np.random.default_rng(1)) is None
-
-
-def test_no_motion_is_suggested_between_two_delays_that_are_one_in_free_motion(problem: Problem, fit: Fit) -> None:
-    fits = []
-    for effect, time in (("actuator_delay", 0.0300), ("sensor_delay", 0.0305)):  # fits stop near each other, not at one number
-        place = placement(problem, Candidate(effect, ("tilt",)))
-        extended, absent = extend(fit, [place])
-        values = with_quantities(extended, absent, [place], [{"time": time}])
-        fits.append(begin(extended, extended.simulated.space.to_unit(values)))
-    assert suggest(problem, fits, np.random.default_rng(1)) is None
-
-
 def _tried(problem: Problem, fit: Fit, candidate: Candidate, quantities: dict[str, float], closed: float) -> Trial:
-    place = placement(problem, candidate)
-    extended, absent = extend(fit, [place])
-    values = with_quantities(extended, absent, [place], [quantities])
-    found = begin(extended, extended.simulated.space.to_unit(values))
-    return Trial(candidate, 0.5, found, np.full(9, 1e-6), closed, True)
+    return Trial(candidate, 0.5, having(problem, fit, candidate, quantities), np.full(9, 1e-6), closed, True)
 
 
 def test_a_mass_that_is_missing_goes_before_one_that_is_too_much_where_motions_tell_no_difference(
@@ -288,7 +226,7 @@ def test_a_step_that_leads_astray_does_not_judge_a_motion_left_out(problem: Prob
 def test_play_in_a_gear_is_found_by_a_search_where_the_usual_numbers_have_made_up_for_it() -> None:
     robot = robot_of("pan_tilt")
     assert robot is not None
-    still = prepare(robot, [_episode(i, robot) for i in range(4)], Settings())
+    still = prepare(robot, [commanded(i, robot.joints) for i in range(4)], Settings())
     hidden = SimulatedRobot(robot, (*nuisance_placements(still), placement(still, Candidate("backlash", ("pan",)))))
     numbers = dict(zip(hidden.space.names, hidden.space.start(), strict=True))
     numbers |= {"backlash.play[pan]": 0.016, "backlash.feedback[pan]": 1.0, "backlash.bearing[pan]": 0.03}

@@ -1,0 +1,53 @@
+"""A two-joint arm whose recordings show what its model does, and fits of it that have an effect."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from benchmarks.blind.cases import robot_of
+from edream.core.episode import Episode
+from edream.diagnosis.candidates import Candidate, placement
+from edream.diagnosis.descent import Fit, begin
+from edream.diagnosis.nuisance import published
+from edream.diagnosis.problem import Problem, Settings, nuisance_placements, prepare
+from edream.diagnosis.screen import extend, with_quantities
+from edream.sim.rollout import rollout
+from edream.sim.simulation import SimulatedRobot
+
+NOISE = 3e-4  # of its measurements [rad]
+
+
+def commanded(number: int, joints: tuple[str, ...], seconds: float = 4.0) -> Episode:
+    """A recording of two joints that did exactly as they were told: sines at 50 Hz."""
+    rng = np.random.default_rng(number)
+    times = np.arange(0.0, seconds, 0.02)
+    phase = rng.uniform(0.0, 6.0, 2)
+    command = 0.5 * np.sin(times[:, None] * rng.uniform(1.0, 3.0, 2) + phase)
+    return Episode(f"motion_{number}", joints, times, command, times, command)
+
+
+def still_problem() -> Problem:
+    """Five recordings in which nothing is hidden but the noise."""
+    robot = robot_of("pan_tilt")
+    assert robot is not None
+    bare = prepare(robot, [commanded(i, robot.joints) for i in range(5)], Settings())
+    windows = (*bare.fitted, *bare.proof)
+    moved = rollout(SimulatedRobot(robot, ()), np.zeros((1, 0)), windows)
+    rng = np.random.default_rng(7)
+    measured = [replace(w.episode, position=m[0] + rng.normal(0.0, NOISE, m[0].shape)) for w, m in zip(windows, moved, strict=True)]
+    return prepare(robot, measured, Settings())
+
+
+def fit_of(problem: Problem) -> Fit:
+    """The usual numbers, as published."""
+    simulated = SimulatedRobot(problem.robot, nuisance_placements(problem))
+    return begin(replace(published(problem), simulated=simulated), simulated.space.to_unit(simulated.space.start()))
+
+
+def having(problem: Problem, fit: Fit, candidate: Candidate, quantities: Mapping[str, float]) -> Fit:
+    """The same fit with an effect of given strength, nothing refitted."""
+    place = placement(problem, candidate)
+    extended, absent = extend(fit, [place])
+    values = with_quantities(extended, absent, [place], [quantities])
+    return begin(extended, extended.simulated.space.to_unit(values))

@@ -1,0 +1,64 @@
+"""The motion that is suggested where models cannot be told apart."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from edream.diagnosis.candidates import Candidate
+from edream.diagnosis.descent import Fit
+from edream.diagnosis.next_motion import as_window, draw, room_of, separations, suggest
+from edream.diagnosis.problem import Problem, Settings, prepare
+from tests.still_problem import fit_of, having, still_problem
+
+
+@pytest.fixture(scope="module")
+def problem() -> Problem:
+    return still_problem()
+
+
+@pytest.fixture(scope="module")
+def fit(problem: Problem) -> Fit:
+    return fit_of(problem)
+
+
+def test_the_suggested_motion_stays_inside_the_robots_room_and_separates_better_than_most(problem: Problem, fit: Fit) -> None:
+    fits = []
+    for effect, quantities in (("actuator_delay", {"time": 0.05}), ("actuator_lag", {"time": 0.05})):
+        fits.append(having(problem, fit, Candidate(effect, ("tilt",)), quantities))
+    motion = suggest(problem, fits, np.random.default_rng(1))
+    assert motion is not None
+    room = room_of(problem)
+    assert np.all(motion.command >= room.low - 1e-9) and np.all(motion.command <= room.high + 1e-9)
+    speed = np.abs(np.diff(motion.command, axis=0)) / np.diff(motion.times)[:, None]
+    assert np.all(speed.max(axis=0) <= 1.05 * room.speed)
+    others = [draw(room, np.random.default_rng(100 + i)) for i in range(15)]
+    apart = separations(problem, fits, [motion.command, *others], {})
+    assert apart[0, 0] > np.median(apart[1:])
+    assert motion.evidence > 0.0 and as_window(problem, motion.command, {}).times[-1] > 5.0
+    assert motion.told == 1 and not motion.conditions  # at the usual gain
+
+
+def test_no_motion_is_suggested_between_two_names_of_one_torque(problem: Problem, fit: Fit) -> None:
+    fits = []
+    for effect, quantities in (("constant_torque", {"torque": -0.05}), ("asymmetric_coulomb", {"difference": 0.05})):
+        fits.append(having(problem, fit, Candidate(effect, ("tilt",)), quantities))
+    assert suggest(problem, fits, np.random.default_rng(1)) is None
+
+
+def test_half_the_gain_is_suggested_where_no_command_tells_a_pull_from_a_reading(problem: Problem, fit: Fit) -> None:
+    read = [replace(w.episode, position=w.episode.position + [0.0, 0.01]) for w in (*problem.fitted, *problem.proof)]
+    biased = prepare(problem.robot, read, Settings())
+    fit = replace(fit, objective=replace(fit.objective, windows=biased.fitted))
+    gain, fits = fit.space.mapping(fit.values)["servo_gain.kp[tilt]"], []
+    for effect, quantities in (("constant_torque", {"torque": 0.01 * gain}), ("sensor_bias", {"angle": 0.01})):
+        fits.append(having(biased, fit, Candidate(effect, ("tilt",)), quantities))
+    motion = suggest(biased, fits, np.random.default_rng(1))
+    assert motion is not None and dict(motion.conditions) == {"servo_gain": 0.5} and motion.told == 1
+
+
+def test_no_motion_is_suggested_between_two_delays_that_are_one_in_free_motion(problem: Problem, fit: Fit) -> None:
+    fits = []
+    for effect, time in (("actuator_delay", 0.0300), ("sensor_delay", 0.0305)):  # fits stop near each other, not at one number
+        fits.append(having(problem, fit, Candidate(effect, ("tilt",)), {"time": time}))
+    assert suggest(problem, fits, np.random.default_rng(1)) is None
