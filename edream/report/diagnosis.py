@@ -52,7 +52,7 @@ def diagnosis_page(found: Mapping[str, Any], ingested: Mapping[str, Any], robot:
         "nuisance": [{"unit": "", **row} for row in found["nuisance.json"]],
         "difference": found["difference.txt"].splitlines() if "difference.txt" in found else [],
         "hook": found["hook.py"] if "hook.py" in found else None,  # noqa: SIM401 - an artifact's own error is not KeyError
-        "next_motion": next_motion(found["next_motion.csv"]) if "next_motion.csv" in found else None,
+        "next_motion": next_motion(found["next_motion.csv"], found["next_motion.json"]) if "next_motion.csv" in found else None,
         "recordings": about_recordings(ingested),
     }
     return page("diagnosis.html.j2", content)
@@ -113,8 +113,8 @@ def _ranking(rounds: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     return out
 
 
-def next_motion(text: str) -> Figure | None:
-    """The motion to record next, as commands over time; None where the file has no row."""
+def next_motion(text: str, conditions: Mapping[str, float]) -> Figure | None:
+    """The motion to record next, as commands over time, and under what conditions; None where the file has no row."""
     rows = list(csv.reader(io.StringIO(text)))
     if len(rows) < 2 or len(rows[0]) < 2:
         return None
@@ -127,5 +127,8 @@ def next_motion(text: str) -> Figure | None:
             axis.set_ylabel(f"{short(name, 16)}\n[rad]", fontsize=8)
         axes[-1].set_xlabel("time [s]")
 
-    caption = "The commands of a motion that tells the candidates apart; next_motion.csv among the diagnosis' files holds it."
+    noted = "".join(f" For these recordings {name} is {value:g}, and conditions.csv says so." for name, value in conditions.items())
+    caption = (
+        f"The commands of a motion that tells the candidates apart; next_motion.csv among the diagnosis' files holds it.{noted}"
+    )
     return draw("next-motion", "What to record next", caption, plot, (9.2, 1.0 + 0.95 * (len(rows[0]) - 1)), wide=True)
