@@ -12,6 +12,7 @@ from edream.diagnosis.descent import Fit, begin
 from edream.diagnosis.nuisance import published
 from edream.diagnosis.problem import Problem, Settings, nuisance_placements, prepare
 from edream.diagnosis.screen import extend, with_quantities
+from edream.sim.robot import RobotModel
 from edream.sim.rollout import rollout
 from edream.sim.simulation import SimulatedRobot
 
@@ -27,10 +28,16 @@ def commanded(number: int, joints: tuple[str, ...], seconds: float = 4.0) -> Epi
     return Episode(f"motion_{number}", joints, times, command, times, command)
 
 
-def still_problem() -> Problem:
-    """Five recordings in which nothing is hidden but the noise."""
+def pan_tilt() -> RobotModel:
+    """The arm."""
     robot = robot_of("pan_tilt")
     assert robot is not None
+    return robot
+
+
+def still_problem() -> Problem:
+    """Five recordings in which nothing is hidden but the noise."""
+    robot = pan_tilt()
     bare = prepare(robot, [commanded(i, robot.joints) for i in range(5)], Settings())
     windows = (*bare.fitted, *bare.proof)
     moved = rollout(SimulatedRobot(robot, ()), np.zeros((1, 0)), windows)

@@ -8,6 +8,7 @@ import numpy as np
 
 from edream import catalog
 from edream.core.effect import Effect
+from edream.core.episode import Episode
 from edream.core.errors import EdreamError, require, unknown_name
 from edream.core.parameters import ParameterSpace
 from edream.sim.mjcf_field import MjcfField
@@ -109,13 +110,17 @@ class SpaceSettings:
         require(self.until is None or self.until > 0.0, "fit.until", self.until, "seconds above 0, or null for whole motions")
 
 
-def simulated_robot(robot: RobotModel, settings: SpaceSettings) -> SimulatedRobot:
+def simulated_robot(robot: RobotModel, settings: SpaceSettings, recordings: Sequence[Episode] = ()) -> SimulatedRobot:
     """The robot with every effect of the config placed on it.
 
+    Args:
+        recordings: what it will be compared with, whose conditions may scale a number that the config says nothing about.
+
     Raises:
-        EdreamError: an effect, joint, field or parameter does not exist, or bounds contradict each other.
+        EdreamError: an effect, joint, field or parameter does not exist, bounds contradict each other, or what the recordings'
+            conditions scale is not among the effects.
     """
-    known_scalings = scalings(settings.scaled)
+    known_scalings = scalings(settings.scaled, recordings)
     bare = [p for text in settings.effects for p in _placements(robot, text, settings.ties, settings.joints)]
     placements, met = [], set()
     for placement in bare:
@@ -139,12 +144,21 @@ def simulated_robot(robot: RobotModel, settings: SpaceSettings) -> SimulatedRobo
     for name in (*settings.fixed, *about):
         if name not in met:
             raise unknown_name("parameter", name, met)
+    for name in set(known_scalings) - set(settings.scaled) - met:
+        raise EdreamError(
+            f"A recording notes {known_scalings[name].condition} in conditions.csv, which scales {name}, but fit.effects has no "
+            f"{name.partition('.')[0]}. Add it; fit.fixed can hold its value."
+        )
     return SimulatedRobot(robot, tuple(with_weak_priors(robot, p) for p in placements))
 
 
-def scalings(scaled: Mapping[str, ScaledBy]) -> dict[str, Scaling]:
-    """What conditions of a recording multiply: what the config says, and the servos' gain where a recording notes another."""
-    return {**USUAL, **{name: Scaling(one.condition, one.reference) for name, one in scaled.items()}}
+def scalings(scaled: Mapping[str, ScaledBy], recordings: Sequence[Episode] | None = None) -> dict[str, Scaling]:
+    """What conditions of a recording multiply: what the config says, and the servos' gain.
+
+    With `recordings`, the gain only where one of them notes it.
+    """
+    usual = {n: s for n, s in USUAL.items() if recordings is None or any(s.condition in one.conditions for one in recordings)}
+    return {**usual, **{name: Scaling(one.condition, one.reference) for name, one in scaled.items()}}
 
 
 def with_weak_priors(robot: RobotModel, placement: Placement) -> Placement:

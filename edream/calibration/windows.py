@@ -119,9 +119,9 @@ def _with_velocity_samples(window: Window, step: float) -> Window:
 
 def log_factors(simulated: SimulatedRobot, windows: Sequence[Window]) -> Float[np.ndarray, "W C"]:
     """Logarithm of each condition's factor in each window; one column for each condition that scales anything."""
-    scalings = sorted({(s.condition, s.reference) for p in simulated.placements for s in (p.scaled or {}).values()})
-    rows = [[np.log(max(w.episode.conditions[c] / r, 1e-6)) for c, r in scalings] for w in windows]
-    return np.array(rows, dtype=float).reshape(len(windows), len(scalings))
+    every = {(s.condition, s.reference): s for p in simulated.placements for s in (p.scaled or {}).values()}
+    rows = [[np.log(max(every[key].factor(w.episode.conditions), 1e-6)) for key in sorted(every)] for w in windows]
+    return np.array(rows, dtype=float).reshape(len(windows), len(every))
 
 
 def _commands(windows: Sequence[Window]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

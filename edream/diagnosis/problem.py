@@ -128,9 +128,15 @@ def prepare(robot: RobotModel, episodes: Sequence[Episode], settings: Settings) 
     """Split the motions, group the joints and measure the noise.
 
     Raises:
-        EdreamError: too little motion, or a name that does not exist.
+        EdreamError: too little motion, a name that does not exist, or a noted condition that scales no fitted number.
     """
     joints = episodes[0].joints
+    for name, one in USUAL.items():
+        if name.partition(".")[0] not in settings.nuisance and any(one.condition in e.conditions for e in episodes):
+            raise EdreamError(
+                f"A recording notes {one.condition} in conditions.csv, which scales {name}, but robot.nuisance has no "
+                f"{name.partition('.')[0]}. Add it."
+            )
     for name in settings.joints:
         robot.joint_index(name)
     counted = np.array([not settings.joints or joint in settings.joints for joint in joints])

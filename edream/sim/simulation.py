@@ -56,6 +56,21 @@ class Scaling:
     reference: float
     otherwise: float | None = None
 
+    def factor(self, conditions: Mapping[str, float]) -> float:
+        """What multiplies the parameter in a recording with these conditions.
+
+        Raises:
+            EdreamError: the recording does not say, and has to.
+        """
+        value = conditions.get(self.condition, self.otherwise)
+        if value is None:
+            known = ", ".join(sorted(conditions)) or "none"
+            raise EdreamError(
+                f"A recording has no condition {self.condition!r}, which the robot's config uses to scale a parameter. "
+                f"What it has: {known}. Add the column to conditions.csv."
+            )
+        return value / self.reference
+
 
 SERVO_GAIN = "servo_gain.kp"
 # every recording may say by what share of the usual one its servos' position gain was another
@@ -192,7 +207,7 @@ class SimulatedRobot:
                 column = np.full(len(values), fixed) if fixed is not None else columns[placement.full_name(name)]
                 scaling = (placement.scaled or {}).get(name)
                 if scaling is not None:
-                    column = column * _factors(scaling, conditions)
+                    column = column * np.array([scaling.factor(one) for one in conditions])
                 numbers[name] = column
             out.append(numbers)
         return out
@@ -216,17 +231,6 @@ def _may_touch(model: mujoco.MjModel) -> bool:
     related = (body[first] == body[second]) | ((parent[first] == body[second]) & (body[second] != 0))
     related |= (parent[second] == body[first]) & (body[first] != 0)
     return bool((((kind[first] & affinity[second]) | (kind[second] & affinity[first])) != 0)[~related].any())
-
-
-def _factors(scaling: Scaling, conditions: Sequence[Mapping[str, float]]) -> np.ndarray:
-    for one in conditions:
-        if scaling.condition not in one and scaling.otherwise is None:
-            known = ", ".join(sorted(one)) or "none"
-            raise EdreamError(
-                f"A recording has no condition {scaling.condition!r}, which the robot's config uses to scale a parameter. "
-                f"What it has: {known}. Add the column to conditions.csv."
-            )
-    return np.array([one.get(scaling.condition, scaling.otherwise) for one in conditions], dtype=float) / scaling.reference
 
 
 class BatchFields:

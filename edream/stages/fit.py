@@ -82,7 +82,7 @@ def run(inputs: Mapping[str, Artifact], config: FitConfig, work: Work) -> Bundle
     """Split, search, judge, write."""
     settings = config.fit
     train, held = split_motions(list(stored_episodes(inputs["ingest"])), settings, config.seed)
-    simulated = simulated_robot(kept_clear(config.robot.load(), train), settings)
+    simulated = simulated_robot(kept_clear(config.robot.load(), train), settings, (*train, *held))
     space_of(simulated)
     counted = scored(simulated.robot, settings)
     objective = objective_of(simulated, train, settings, counted)

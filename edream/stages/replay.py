@@ -57,11 +57,7 @@ def run(inputs: Mapping[str, Artifact], config: ReplayConfig, work: Work) -> Bun
     """Replay every recording and score it."""
     options = config.replay
     episodes = list(stored_episodes(inputs["ingest"]))
-    scaled = {
-        name: one
-        for name, one in scalings(config.robot.scaled).items()
-        if one.otherwise is None or any(one.condition in episode.conditions for episode in episodes)
-    }
+    scaled = scalings(config.robot.scaled, episodes)
     found = replay(config.robot.load(), episodes, options.joints, options.until, options.hook, scaled=scaled)
     count = f"{len(episodes)} motions" if len(episodes) != 1 else "1 motion"
     sentence = (

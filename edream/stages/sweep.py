@@ -68,8 +68,8 @@ class SweepConfig:
 def run(inputs: Mapping[str, Artifact], config: SweepConfig, work: Work) -> Bundle:
     """Simulate block by block, each kept on disk as soon as it is done; of all motions only the clocks are held at once."""
     ingested = inputs["ingest"]
-    motions, _ = split_motions([outline(episode) for episode in stored_episodes(ingested)], config.fit, config.seed)
-    simulated = simulated_robot(config.robot.load(), config.fit)
+    motions, held = split_motions([outline(episode) for episode in stored_episodes(ingested)], config.fit, config.seed)
+    simulated = simulated_robot(config.robot.load(), config.fit, (*motions, *held))
     space_of(simulated)
     windows = windows_of(motions, config.sweep, work)
     files = {row.name: row.file for row in stored_index(ingested)}
