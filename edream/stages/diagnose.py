@@ -140,4 +140,4 @@ def summary(found: Diagnosis, bundle: Mapping[str, Any], more: str) -> dict[str,
     }
 
 
-ENTRY = Stage("diagnose", 36, ("ingest",), DiagnoseConfig, run, sources, ("mujoco", "numpy", "scipy"))
+ENTRY = Stage("diagnose", 37, ("ingest",), DiagnoseConfig, run, sources, ("mujoco", "numpy", "scipy"))

@@ -1,0 +1,54 @@
+"""Dry friction with two bounds is a torque beside friction, but one that brakes only."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from edream import catalog
+from edream.core.effect import Effect
+from edream.diagnosis.candidates import Candidate
+from edream.diagnosis.descent import descend
+from edream.diagnosis.problem import Settings, prepare
+from edream.sim.rollout import rollout
+from edream.sim.simulation import Placement, SimulatedRobot
+from edream.sim.window import whole
+from tests.still_problem import NOISE, commanded, fit_of, having, pan_tilt
+
+ROBOT = pan_tilt()
+FRICTION = float(ROBOT.model.dof_frictionloss[0])
+
+
+def moved(effect: str, value: float, episodes: list) -> list[np.ndarray]:
+    place = Placement(catalog.load("effects", effect, Effect), ("pan",))
+    return [one[0] for one in rollout(SimulatedRobot(ROBOT, (place,)), np.array([[value]]), whole(episodes))]
+
+
+@pytest.mark.parametrize("share", [-0.9, 0.5])
+def test_a_difference_below_the_friction_is_a_torque(share: float) -> None:
+    episodes = [commanded(3, ROBOT.joints)]
+    pulled, braked = (
+        moved(*one, episodes)[0] for one in (("constant_torque", -share * FRICTION), ("asymmetric_coulomb", share * FRICTION))
+    )
+    assert np.abs(pulled - braked).max() < 1e-5 < 1e-3 < np.abs(braked - moved("asymmetric_coulomb", 0.0, episodes)[0]).max()
+
+
+def test_friction_larger_one_way_than_all_of_it_does_not_push() -> None:
+    one = commanded(0, ROBOT.joints)
+    still = replace(one, command=np.zeros_like(one.command), position=np.zeros_like(one.position))
+    pulled, braked = (moved(effect, 5.0 * FRICTION, [still])[0][-1, 0] for effect in ("constant_torque", "asymmetric_coulomb"))
+    assert pulled > 2.0 * FRICTION / 20.0  # of what the servo's 20 N m/rad give
+    assert abs(braked) < 1e-4
+
+
+def test_a_torque_beyond_the_friction_is_not_explained_by_friction() -> None:
+    episodes = [commanded(number, ROBOT.joints, 2.0) for number in range(4)]
+    rng = np.random.default_rng(2)
+    told = moved("constant_torque", 5.0 * FRICTION, episodes)
+    made = [replace(e, position=m + rng.normal(0.0, NOISE, m.shape)) for e, m in zip(episodes, told, strict=True)]
+    problem = prepare(ROBOT, made, Settings())
+    fit = fit_of(problem)
+    true = having(problem, fit, Candidate("constant_torque", ("pan",)), {"torque": 5.0 * FRICTION})
+    begun = having(problem, fit, Candidate("asymmetric_coulomb", ("pan",)), {"difference": -4.0 * FRICTION})
+    ended = descend(begun, None, 6)
+    assert 2.0 * true.rms < ended.rms < begun.rms
