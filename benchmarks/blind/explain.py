@@ -29,7 +29,7 @@ def main() -> None:
     diagnosis, result = explain(given.robot, given.data, given.beside)
     if given.suggest and (motion := suggestion(diagnosis)):
         given.suggest.write_text(motion.table(), encoding="utf-8")
-        given.suggest.with_suffix(".json").write_text(json.dumps(dict(motion.conditions)), encoding="utf-8")
+        given.suggest.with_suffix(".json").write_text(json.dumps([dict(one) for one in motion.conditions]), encoding="utf-8")
     given.out.write_text(json.dumps(_finite(result)) + "\n", encoding="utf-8")
     if given.baselines:
         from benchmarks.blind.baselines import run_baselines

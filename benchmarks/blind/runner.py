@@ -48,9 +48,11 @@ def run_case(
         if again:
             result["again"] = None
         if motion.exists():
-            gain = json.loads(motion.with_suffix(".json").read_text(encoding="utf-8")).get("servo_gain", 1.0)
-            shutil.copytree(record_again(case, robot, folder, motion, gain), place / "more")
-            result["again"] = {"gain": gain} | _blindfolded(place, "again.json", ["--beside", str(place / "more")])
+            noted = json.loads(motion.with_suffix(".json").read_text(encoding="utf-8"))
+            gains = [one.get("servo_gain", 1.0) for one in noted]
+            for number, gain in enumerate(gains):
+                shutil.copytree(record_again(case, robot, folder, motion, gain), place / "more" / str(number))
+            result["again"] = {"gains": gains} | _blindfolded(place, "again.json", ["--beside", str(place / "more")])
         return result
 
 

@@ -38,7 +38,8 @@ class Motion:
         command: positions [rad or m], (K, J).
         evidence: expected log-likelihood ratio [nat] between the two candidates that are hardest to tell apart, of those it tells.
         told: how many pairs of candidates it tells apart.
-        conditions: what has to be set on the robot for it, and noted with its recordings, as `conditions.csv` has it.
+        conditions: what has to be set on the robot, and noted with the recordings, as `conditions.csv` has it: a set for each time
+            that the motion is to be recorded, an empty one for the robot as it is.
     """
 
     joints: tuple[str, ...]
@@ -46,7 +47,7 @@ class Motion:
     command: Float[np.ndarray, "K J"]
     evidence: float
     told: int
-    conditions: Mapping[str, float]
+    conditions: tuple[Mapping[str, float], ...]
 
     def table(self) -> str:
         """The commands as CSV: time [s], a column [rad or m] a joint."""
@@ -90,12 +91,12 @@ def suggest(problem: Problem, contenders: Sequence[Fit], rng: np.random.Generato
     """
     if not all(holds_position(problem.robot.model, joint) for joint in problem.fitted[0].episode.joints):
         return None
-    usual = best_under(problem, contenders, rng, {})
+    usual = best_under(problem, contenders, rng, [{}])
     pairs = len(contenders) * (len(contenders) - 1) // 2
     if (usual is not None and usual.told == pairs) or not (lower := lower_gain(problem)):
         return usual
-    soft = best_under(problem, contenders, rng, lower)
-    return soft if soft is not None and (usual is None or soft.told > usual.told) else usual
+    more = best_under(problem, contenders, rng, [lower, {}])
+    return more if more is not None and (usual is None or more.told > usual.told) else usual
 
 
 def lower_gain(problem: Problem) -> dict[str, float]:
@@ -108,25 +109,33 @@ def lower_gain(problem: Problem) -> dict[str, float]:
 
 
 def best_under(
-    problem: Problem, contenders: Sequence[Fit], rng: np.random.Generator, conditions: Mapping[str, float]
+    problem: Problem, contenders: Sequence[Fit], rng: np.random.Generator, under: Sequence[Mapping[str, float]]
 ) -> Motion | None:
-    """The best motion under conditions other than those of the first recording; None where none tells two models apart."""
+    """The best motion to play under each of some conditions; None where none tells two models apart.
+
+    The conditions are those of the first recording but for what each says. A later one without which as many pairs are told goes.
+    """
     room = room_of(problem)
     drawn = [draw(room, rng) for _ in range(DRAWN)]
-    rough = _least(separations(problem, contenders, drawn, conditions), (INVISIBLE * problem.floor) ** 2)
-    best = [drawn[i] for i in np.argsort(-rough)[:JUDGED]]
-    changed = [mixed(one, drawn[int(rng.integers(DRAWN))], rng) for one in best for _ in range(CHANGED)]
-    rough = _least(separations(problem, contenders, changed, conditions), (INVISIBLE * problem.floor) ** 2)
-    best += [changed[i] for i in np.argsort(-rough)[:JUDGED]]
+
+    def promising(motions: Sequence[np.ndarray]) -> list[np.ndarray]:
+        apart = np.max([separations(problem, contenders, motions, one) for one in under], axis=0)
+        return [motions[i] for i in np.argsort(-_least(apart, (INVISIBLE * problem.floor) ** 2))[:JUDGED]]
+
+    best = promising(drawn)
+    best += promising([mixed(one, drawn[int(rng.integers(DRAWN))], rng) for one in best for _ in range(CHANGED)])
     worth = 0.5 * TELLING * (len(best[0]) - RESTED) * int(problem.counted.sum()) / problem.settings.stride
-    found = evidences(problem, contenders, best, conditions)
-    sure = _least(found, worth)
+    each = np.array([evidences(problem, contenders, best, one) for one in under])
+    sure = _least(each.max(axis=0), worth)
     winner = int(np.argmax(sure))
     if sure[winner] < worth:
         return None
+    tells = each[:, winner] >= worth
+    told = int(tells.any(axis=0).sum())
+    kept = next(n for n in range(1, len(under) + 1) if int(tells[:n].any(axis=0).sum()) == told)
     times = np.arange(len(best[winner])) / RATE
-    told = int((found[winner] >= worth).sum())
-    return Motion(problem.fitted[0].episode.joints, times, best[winner], float(sure[winner]), told, dict(conditions))
+    conditions = tuple(dict(one) for one in reversed(under[:kept]))
+    return Motion(problem.fitted[0].episode.joints, times, best[winner], float(sure[winner]), told, conditions)
 
 
 def _least(pairs: Float[np.ndarray, "M pairs"], worth: float) -> Float[np.ndarray, "M"]:

@@ -113,7 +113,7 @@ def _ranking(rounds: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     return out
 
 
-def next_motion(text: str, conditions: Mapping[str, float]) -> Figure | None:
+def next_motion(text: str, conditions: Sequence[Mapping[str, float]]) -> Figure | None:
     """The motion to record next, as commands over time, and under what conditions; None where the file has no row."""
     rows = list(csv.reader(io.StringIO(text)))
     if len(rows) < 2 or len(rows[0]) < 2:
@@ -127,7 +127,9 @@ def next_motion(text: str, conditions: Mapping[str, float]) -> Figure | None:
             axis.set_ylabel(f"{short(name, 16)}\n[rad]", fontsize=8)
         axes[-1].set_xlabel("time [s]")
 
-    noted = "".join(f" For these recordings {name} is {value:g}, and conditions.csv says so." for name, value in conditions.items())
+    lower = [one for one in conditions if one]
+    which = "these recordings" if len(lower) == len(conditions) else "half of these recordings"
+    noted = "".join(f" For {which} {name} is {value:g}; conditions.csv says so." for one in lower for name, value in one.items())
     caption = (
         f"The commands of a motion that tells the candidates apart; next_motion.csv among the diagnosis' files holds it.{noted}"
     )

@@ -1,6 +1,6 @@
 """Diagnose: find where simulation and measurement disagree, name what is missing, add it, show that the gap shrinks."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -16,7 +16,7 @@ from edream.ingest.stored import stored_episodes
 from edream.sim.emit import emit
 
 HOOK = "hook.py"
-CONDITIONS = "next_motion.json"  # what to set, and to note, for the recordings of the next motion
+CONDITIONS = "next_motion.json"  # what to set, and to note, each time that the next motion is recorded
 
 
 @dataclass(frozen=True)
@@ -76,15 +76,20 @@ def motion_files(motion: Motion, work: Work) -> Bundle:
     """The motion to record next: a table (time [s], a column [rad] a joint) and the same as MCAP."""
     path = work.folder("next_motion") / "next_motion.mcap"
     write_commands(motion.joints, motion.times, motion.command, path)
-    return {"next_motion.csv": motion.table(), "next_motion.mcap": path, CONDITIONS: dict(motion.conditions)}
+    return {"next_motion.csv": motion.table(), "next_motion.mcap": path, CONDITIONS: [dict(one) for one in motion.conditions]}
 
 
-def with_conditions(conditions: Mapping[str, float]) -> str:
-    """What has to be set on the robot for a suggested motion, in words; empty where nothing has."""
-    if not conditions:
-        return ""
-    ((name, value),) = conditions.items()
-    return f" with {SOFT:g} times the servos' usual position gain, and note {name} = {value:g} of them in conditions.csv"
+def how_to_record(conditions: Sequence[Mapping[str, float]]) -> str:
+    """What to do with a suggested motion, in words."""
+    lower = [one for one in conditions if one]
+    if not lower:
+        return "Record the suggested motion a few times."
+    ((name, value),) = lower[0].items()
+    beside = "" if len(lower) == len(conditions) else ", and a few times more"
+    return (
+        f"Record the suggested motion a few times{beside} with {SOFT:g} times the servos' usual position gain, and note "
+        f"{name} = {value:g} of these in conditions.csv."
+    )
 
 
 def settings_of(config: DiagnoseConfig) -> Settings:
@@ -97,7 +102,7 @@ def settings_of(config: DiagnoseConfig) -> Settings:
 def advice(found: Diagnosis, bundle: Mapping[str, Any]) -> str:
     """What to do about a doubt, for which a motion was looked for."""
     if "next_motion.csv" in bundle:
-        return f" Record the suggested motion a few times{with_conditions(bundle[CONDITIONS])}."
+        return f" {how_to_record(bundle[CONDITIONS])}"
     held = all(holds_position(found.problem.robot.model, joint) for joint in found.problem.joints)
     return " No motion of the joints was found that would tell." if held else " Motions are suggested for position servos alone."
 
@@ -136,8 +141,8 @@ def summary(found: Diagnosis, bundle: Mapping[str, Any], more: str) -> dict[str,
         "model": "model.xml",
         "hook": HOOK if HOOK in bundle else None,
         "next_motion": "next_motion.csv" if "next_motion.csv" in bundle else None,
-        "next_motion_conditions": bundle.get(CONDITIONS, {}),
+        "next_motion_conditions": bundle.get(CONDITIONS, []),
     }
 
 
-ENTRY = Stage("diagnose", 37, ("ingest",), DiagnoseConfig, run, sources, ("mujoco", "numpy", "scipy"))
+ENTRY = Stage("diagnose", 38, ("ingest",), DiagnoseConfig, run, sources, ("mujoco", "numpy", "scipy"))

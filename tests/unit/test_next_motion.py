@@ -36,7 +36,7 @@ def test_the_suggested_motion_stays_inside_the_robots_room_and_separates_better_
     apart = separations(problem, fits, [motion.command, *others], {})
     assert apart[0, 0] > np.median(apart[1:])
     assert motion.evidence > 0.0 and as_window(problem, motion.command, {}).times[-1] > 5.0
-    assert motion.told == 1 and not motion.conditions  # at the usual gain
+    assert motion.told == 1 and motion.conditions == ({},)  # at the usual gain
 
 
 def test_no_motion_is_suggested_between_two_names_of_one_torque(problem: Problem, fit: Fit) -> None:
@@ -54,7 +54,7 @@ def test_half_the_gain_is_suggested_where_no_command_tells_a_pull_from_a_reading
     for effect, quantities in (("constant_torque", {"torque": 0.01 * gain}), ("sensor_bias", {"angle": 0.01})):
         fits.append(having(biased, fit, Candidate(effect, ("tilt",)), quantities))
     motion = suggest(biased, fits, np.random.default_rng(1))
-    assert motion is not None and dict(motion.conditions) == {"servo_gain": 0.5} and motion.told == 1
+    assert motion is not None and motion.conditions == ({"servo_gain": 0.5},) and motion.told == 1
 
 
 def test_no_motion_is_suggested_between_two_delays_that_are_one_in_free_motion(problem: Problem, fit: Fit) -> None:

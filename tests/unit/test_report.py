@@ -272,10 +272,10 @@ def test_a_large_drawing_becomes_a_bitmap() -> None:
 
 
 def test_the_next_motion_is_drawn_joint_by_joint() -> None:
-    figure = next_motion("time,lift,turn\n0,0.1,0.2\n0.02,0.3,0.4\n", {"servo_gain": 0.5})
+    figure = next_motion("time,lift,turn\n0,0.1,0.2\n0.02,0.3,0.4\n", [{}, {"servo_gain": 0.5}])
     assert figure is not None and "lift" in figure.drawing and "turn" in figure.drawing
-    assert "servo_gain is 0.5" in figure.caption
-    assert next_motion("time,lift\n", {}) is None
+    assert "half of these recordings servo_gain is 0.5" in figure.caption
+    assert next_motion("time,lift\n", [{}]) is None
 
 
 def test_numbers_keep_the_digits_that_their_interval_leaves() -> None:
