@@ -32,17 +32,7 @@ from edream.diagnosis.trials import Trial, as_published
 from edream.diagnosis.verdict import Named, falls_short, is_strange, judge, sentence
 from edream.sim.rollout import rollout
 from edream.sim.simulation import SimulatedRobot
-from tests.still_problem import NOISE, commanded, fit_of, having, still_problem
-
-
-@pytest.fixture(scope="module")
-def problem() -> Problem:
-    return still_problem()
-
-
-@pytest.fixture(scope="module")
-def fit(problem: Problem) -> Fit:
-    return fit_of(problem)
+from tests.still_problem import NOISE, commanded, having
 
 
 def test_the_noise_of_the_measurements_is_found_behind_the_motion(problem: Problem) -> None:

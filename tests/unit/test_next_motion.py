@@ -3,23 +3,12 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from edream.diagnosis.candidates import Candidate
 from edream.diagnosis.descent import Fit
 from edream.diagnosis.next_motion import as_window, draw, room_of, separations, suggest
 from edream.diagnosis.problem import Problem, Settings, prepare
-from tests.still_problem import fit_of, having, still_problem
-
-
-@pytest.fixture(scope="module")
-def problem() -> Problem:
-    return still_problem()
-
-
-@pytest.fixture(scope="module")
-def fit(problem: Problem) -> Fit:
-    return fit_of(problem)
+from tests.still_problem import having
 
 
 def test_the_suggested_motion_stays_inside_the_robots_room_and_separates_better_than_most(problem: Problem, fit: Fit) -> None:
