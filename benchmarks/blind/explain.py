@@ -7,7 +7,7 @@ import argparse
 import json
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,9 @@ def main() -> None:
     parser.add_argument("out", type=Path)
     parser.add_argument("--baselines", action="store_true")
     parser.add_argument("--suggest", type=Path, help="where the motion to record next is written, if there is one")
-    parser.add_argument("--beside", type=Path, help="recordings of that motion, diagnosed together with the others")
+    parser.add_argument(
+        "--beside", type=Path, nargs="*", default=[], help="recordings of that motion, diagnosed together with the others"
+    )
     given = parser.parse_args()
     blindfold()
     diagnosis, result = explain(given.robot, given.data, given.beside)
@@ -38,7 +40,7 @@ def main() -> None:
         given.out.write_text(json.dumps(_finite(result)) + "\n", encoding="utf-8")
 
 
-def explain(robot_path: Path, data: Path, beside: Path | None = None) -> tuple[Any, dict[str, Any]]:
+def explain(robot_path: Path, data: Path, beside: Sequence[Path] = ()) -> tuple[Any, dict[str, Any]]:
     """Ingest the recordings and diagnose them, as `edream diagnose robot.mjcf=R.xml data=D` does: the `Diagnosis`, its summary.
 
     `beside` are further recordings of the same robot.
@@ -52,7 +54,7 @@ def explain(robot_path: Path, data: Path, beside: Path | None = None) -> tuple[A
     began = time.monotonic()
     robot = load_robot(robot_path)
     episodes: list[Episode] = []
-    for folder in filter(None, (data, beside)):
+    for folder in (data, *beside):
         found = [one[0] for one in ingest_recordings(folder, robot.joints, strict=True) if isinstance(one, tuple)]
         episodes += [replace(episode, name=f"{folder.name}/{episode.name}") for episode in found]
     problem = prepare(robot, episodes, Settings())

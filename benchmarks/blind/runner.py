@@ -50,9 +50,10 @@ def run_case(
         if motion.exists():
             noted = json.loads(motion.with_suffix(".json").read_text(encoding="utf-8"))
             gains = [one.get("servo_gain", 1.0) for one in noted]
-            for number, gain in enumerate(gains):
-                shutil.copytree(record_again(case, robot, folder, motion, gain), place / "more" / str(number))
-            result["again"] = {"gains": gains} | _blindfolded(place, "again.json", ["--beside", str(place / "more")])
+            more = [place / f"more_{number}" for number in range(len(gains))]
+            for gain, data in zip(gains, more, strict=True):
+                shutil.copytree(record_again(case, robot, folder, motion, gain), data)
+            result["again"] = {"gains": gains} | _blindfolded(place, "again.json", ["--beside", *map(str, more)])
         return result
 
 

@@ -3,7 +3,8 @@
 import csv
 import io
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from edream.core.errors import EdreamError
@@ -12,10 +13,49 @@ from edream.ingest.border import read_text
 FILE = "conditions.csv"
 
 
-def find_conditions(path: Path) -> Path | None:
-    """The `conditions.csv` in the folder `path`, or beside the file `path`; None where there is none."""
-    file = (path if path.is_dir() else path.parent) / FILE
-    return file if file.is_file() else None
+@dataclass(frozen=True)
+class Noted:
+    """What a `conditions.csv` says about one recording.
+
+    Attributes:
+        file: where it stands.
+        names: what the recording may be called: with the folder of the file before it, or without where that is unique.
+        numbers: condition -> number.
+    """
+
+    file: Path
+    names: tuple[str, ...]
+    numbers: Mapping[str, float]
+
+
+def noted(path: Path) -> list[Noted]:
+    """What every `conditions.csv` in the folder `path` or below says, or the one beside the file `path`.
+
+    Raises:
+        EdreamError: a file is wrong; see `read_conditions`.
+    """
+    root = path if path.is_dir() else path.parent
+    found = sorted(root.rglob(FILE)) if path.is_dir() else [root / FILE]
+    out = []
+    for file in (file for file in found if file.is_file()):
+        folder = file.parent.relative_to(root).as_posix()
+        for name, numbers in read_conditions(file).items():
+            out.append(Noted(file, (name,) if folder == "." else (f"{folder}/{name}", name), numbers))
+    return out
+
+
+def about(name: str, known: Sequence[Noted]) -> Noted | None:
+    """What is noted about the recording of that name, if anything.
+
+    Raises:
+        EdreamError: two files say something about it.
+    """
+    exact = [one for one in known if one.names[0] == name]
+    found = exact or [one for one in known if name in one.names]
+    if len(found) > 1:
+        files = " and ".join(str(one.file) for one in found)
+        raise EdreamError(f"{files} both say something about recording {name!r}; expected one.")
+    return found[0] if found else None
 
 
 def read_conditions(file: Path) -> dict[str, dict[str, float]]:
@@ -46,11 +86,6 @@ def read_conditions(file: Path) -> dict[str, dict[str, float]]:
         cells = zip(names[1:], row[1:], strict=True)
         table[recording] = {name: _number(file, line, name, cell) for name, cell in cells if cell.strip()}
     return table
-
-
-def unmatched(table: Mapping[str, object], met: set[str]) -> list[str]:
-    """Names in `conditions.csv` that no recording has."""
-    return sorted(set(table) - met)
 
 
 def _number(file: Path, line: int, name: str, cell: str) -> float:

@@ -9,7 +9,7 @@ from edream.core.episode import Episode, Recording
 from edream.core.errors import EdreamError
 from edream.core.format import Format, Malformed, ReadOptions
 from edream.ingest.border import LFS_MARK, head
-from edream.ingest.conditions import FILE, find_conditions, read_conditions, unmatched
+from edream.ingest.conditions import FILE, about, noted
 from edream.ingest.findings import Findings, find
 from edream.ingest.mapping import MappingConfig, map_recording, selected
 
@@ -45,7 +45,7 @@ def detect_format(path: Path, name: str | None = None) -> Format:
 
 
 def read_recordings(path: Path, options: ReadOptions | None = None, format: str | None = None) -> Iterator[Recording | Malformed]:
-    """Every recording at `path`, with the numbers of `conditions.csv` attached.
+    """Every recording at `path`, with the numbers of each `conditions.csv` beside them attached.
 
     Names in `conditions.csv` that no recording has come last, as `Malformed`.
 
@@ -53,17 +53,18 @@ def read_recordings(path: Path, options: ReadOptions | None = None, format: str 
         EdreamError: see `detect_format`; or `conditions.csv` is wrong; or nothing can be read at all.
     """
     path = Path(path)
-    found = find_conditions(path)
-    table = read_conditions(found) if found else {}
-    met: set[str] = set()
+    known = noted(path)
+    met: set[tuple[str, ...]] = set()
     for one in detect_format(path, format).recordings(path, options or ReadOptions()):
-        met.add(one.name)
-        if isinstance(one, Recording) and one.name in table:
-            one = replace(one, conditions={**one.conditions, **table[one.name]})
+        found = about(one.name, known)
+        if found is not None:
+            met.add(found.names)
+            if isinstance(one, Recording):
+                one = replace(one, conditions={**one.conditions, **found.numbers})
         yield one
-    if found and path.is_dir():
-        for name in unmatched(table, met):
-            yield Malformed(name, f"{found} names it, but there is no such recording in {path}.")
+    for row in known:
+        if path.is_dir() and row.names not in met:
+            yield Malformed(row.names[0], f"{row.file} names it, but there is no such recording in {path}.")
 
 
 def ingest_recordings(

@@ -16,7 +16,7 @@ import pytest
 
 from edream.core.episode import Episode, Video
 from edream.core.errors import EdreamError
-from edream.core.format import Malformed, ReadOptions
+from edream.core.format import Malformed, ReadOptions, Recording
 from edream.ingest.episode_file import write_episode
 from edream.ingest.episode_read import read_episode
 from edream.ingest.findings import find
@@ -126,6 +126,30 @@ def test_conditions_come_along_and_unknown_names_are_reported(tmp_path: Path) ->
     found = list(ingest_recordings(path, JOINTS))
     assert isinstance(found[0], tuple) and dict(found[0][0].conditions) == {"firmware_gain": 200.0}
     assert isinstance(found[1], Malformed) and found[1].name == "wafe"
+
+
+def test_conditions_of_a_folder_of_folders_are_those_beside_each_recording(tmp_path: Path) -> None:
+    sample, root = make_sample("mcap_ros2", tmp_path), tmp_path / "set"
+    for folder in ("a", "b"):
+        shutil.copytree(sample, root / folder)
+    (root / "b" / "conditions.csv").write_text("recording,servo_gain\nwave,0.5\nwafe,2\n")
+    found = list(ingest_recordings(root, JOINTS))
+    said = {one[0].name: dict(one[0].conditions) for one in found if isinstance(one, tuple)}
+    assert said == {"a/wave": {}, "b/wave": {"servo_gain": 0.5}}
+    assert [one.name for one in found if isinstance(one, Malformed)] == ["b/wafe"]
+    (root / "conditions.csv").write_text("recording,servo_gain\nb/wave,0.7\n")
+    with pytest.raises(EdreamError, match="both say something about recording 'b/wave'"):
+        list(ingest_recordings(root, JOINTS))
+
+
+def test_conditions_reach_a_recording_whose_name_has_no_folder(tmp_path: Path) -> None:
+    root = make_sample("aloha_hdf5", tmp_path)
+    (file,) = root.glob("*.hdf5")
+    (root / "soft").mkdir()
+    shutil.copy(file, root / "soft" / "again.hdf5")
+    (root / "soft" / "conditions.csv").write_text("recording,servo_gain\nagain,0.5\n")
+    said = {one.name: dict(one.conditions) for one in read_recordings(root, ReadOptions(fps=50.0)) if isinstance(one, Recording)}
+    assert said == {file.stem: {}, "again": {"servo_gain": 0.5}}
 
 
 WRONG_CONDITIONS = ("name,gain\nwave,1\n", "recording,gain\nwave,x\n", "recording,gain\nwave\n", "recording,gain\nwave,1\nwave,2\n")
