@@ -147,7 +147,7 @@ def simulated_robot(robot: RobotModel, settings: SpaceSettings, recordings: Sequ
     for name in set(known_scalings) - set(settings.scaled) - met:
         raise EdreamError(
             f"A recording notes {known_scalings[name].condition} in conditions.csv, which scales {name}, but fit.effects has no "
-            f"{name.partition('.')[0]}. Add it; fit.fixed can hold its value."
+            f"{name.partition('.')[0]} of a position servo. Add it (fit.fixed can hold its value), or remove the column."
         )
     return SimulatedRobot(robot, tuple(with_weak_priors(robot, p) for p in placements))
 

@@ -128,12 +128,16 @@ def under_conditions(robot: RobotModel, scaled: Mapping[str, Scaling]) -> Simula
     for name in dict.fromkeys(key.partition(".")[0] for key in scaled):
         effect = catalog.load("effects", name, Effect)
         own = {key.partition(".")[2]: scaling for key, scaling in scaled.items() if key.partition(".")[0] == name}
-        for joint in robot.joints:
+        met: set[str] = set()
+        for joint in robot.joints:  # a motor beside position servos has no kp
             start = {parameter.name: parameter.start for parameter in effect.parameters(robot.model, (joint,))}
-            for quantity in own:
-                if quantity not in start:
-                    raise unknown_name(f"quantity of {name} for robot.scaled", quantity, start)
-            placements.append(Placement(effect, (joint,), scaled=own, fixed=start))
+            here = {quantity: scaling for quantity, scaling in own.items() if quantity in start}
+            met |= set(start)
+            if here:
+                placements.append(Placement(effect, (joint,), scaled=here, fixed=start))
+        for quantity in own:
+            if quantity not in met:
+                raise unknown_name(f"quantity of {name} for robot.scaled", quantity, met)
     return SimulatedRobot(robot, tuple(placements))
 
 
@@ -141,4 +145,4 @@ def _scores(errors: np.ndarray) -> dict[str, float]:
     return {"rmse_rad": float(np.sqrt(np.mean(np.square(errors)))), "mae_rad": float(np.mean(np.abs(errors)))}
 
 
-ENTRY = Stage("replay", 5, ("ingest",), ReplayConfig, run, sources, ("mujoco", "numpy"))
+ENTRY = Stage("replay", 6, ("ingest",), ReplayConfig, run, sources, ("mujoco", "numpy"))

@@ -1,6 +1,7 @@
 """A servo's gain that recordings note counts wherever they are compared with a simulation."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,9 +11,10 @@ from edream.calibration.windows import log_factors
 from edream.core.episode import Episode
 from edream.core.errors import EdreamError
 from edream.diagnosis.problem import Settings, prepare
-from edream.sim.robot import RobotModel
-from edream.sim.simulation import SERVO_GAIN
+from edream.sim.robot import RobotModel, load_robot
+from edream.sim.simulation import SERVO_GAIN, USUAL
 from edream.sim.window import whole
+from edream.stages.replay import under_conditions
 from tests.still_problem import commanded, pan_tilt
 
 ROBOT = pan_tilt()
@@ -44,6 +46,15 @@ def test_a_config_that_scales_the_gain_by_another_condition_is_believed() -> Non
     assert chosen[SERVO_GAIN].condition == "firmware" and list(chosen) == [SERVO_GAIN]
     with pytest.raises(EdreamError, match=r"no condition 'firmware'.*servo_gain"):
         chosen[SERVO_GAIN].factor({"servo_gain": 0.5})
+
+
+def test_a_noted_gain_leaves_a_motor_beside_a_position_servo_as_it_is(tmp_path: Path) -> None:
+    spec = ROBOT.spec()
+    spec.actuator("pan").set_to_motor()
+    spec.compile()
+    (tmp_path / "mixed.xml").write_text(spec.to_xml())
+    scaled = under_conditions(load_robot(tmp_path / "mixed.xml"), USUAL)
+    assert [place.targets for place in scaled.placements] == [("tilt",)]
 
 
 def test_a_noted_gain_that_scales_nothing_fitted_is_no_secret() -> None:
