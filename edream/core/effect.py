@@ -20,10 +20,15 @@ Values = Mapping[str, Float[np.ndarray, "N"]]
 
 
 class Fields(Protocol):
-    """Model fields of N simulations of one compiled model, each (N, ...) and written in place."""
+    """Model fields of N simulations of one compiled model, each (N, ...) and written in place.
+
+    Attributes:
+        merged: joints whose damping was written as one number for the joint and its servo.
+    """
 
     model: mujoco.MjModel
     count: int
+    merged: set[str]
 
     def __getitem__(self, name: str) -> Float[np.ndarray, "N ..."]:
         """The live values of a `mujoco.MjModel` field, such as "dof_damping", or of an option, such as "opt.gravity"."""

@@ -12,9 +12,10 @@ from edream.diagnosis.candidates import Candidate, placement
 from edream.diagnosis.descent import Fit, begin, descend, polish
 from edream.diagnosis.left_out import bootstrap, is_brief, left_out_errors
 from edream.diagnosis.narrowing import narrowed
-from edream.diagnosis.problem import Problem
+from edream.diagnosis.problem import VISIBLE, Problem
 from edream.diagnosis.rough import rough_candidates, searched
 from edream.diagnosis.screen import Scored, extend, screen
+from edream.diagnosis.steps import with_short_steps
 from edream.diagnosis.trials import (
     HALF,
     HOPELESS,
@@ -43,7 +44,6 @@ DISTINCT = 0.5  # of the floor squared, or of the error where that is larger
 FEWEST = 3  # motions that a difference may rest on
 BOUND = 1e-3  # of the unit box: nearer, a number sits at its bound
 ROUNDING = 1e-9  # a bound of a box that went through its logarithm
-VISIBLE = 0.1  # of the floor: with nothing hidden, less is left over it
 REAL_GAP = 1.8  # how many floors of left-out error are a gap worth a name
 
 
@@ -58,14 +58,18 @@ class Round:
     taken: Trial | None
 
 
-def forward(problem: Problem, fit: Fit, done: Callable[[str, int], object] = lambda text, n: None) -> tuple[Fit, list[Round]]:
-    """Add effects while they pass, the best on left-out motions first.
+def forward(
+    problem: Problem, fit: Fit, done: Callable[[str, int], object] = lambda text, n: None
+) -> tuple[Problem, Fit, list[Round]]:
+    """Add effects while they pass, the best on left-out motions first; before each, steps are made as short as they need to be.
 
     Returns:
-        The final fit and every round, the last of which took nothing unless the most effects were reached.
+        The problem with the steps that were taken, the final fit, and every round, the last of which took nothing unless the most
+        effects were reached.
     """
     rounds: list[Round] = []
     for _ in range(problem.settings.most):
+        problem, fit = with_short_steps(problem, fit)
         errors = left_out_errors(problem, fit)
         first = rounds[0].errors if rounds else errors
         left, whole = (float(np.sqrt(e.mean())) - problem.floor for e in (errors, first))
@@ -91,7 +95,7 @@ def forward(problem: Problem, fit: Fit, done: Callable[[str, int], object] = lam
         if taken is None:
             break
         fit = ended
-    return fit, rounds
+    return problem, fit, rounds
 
 
 def first_that_stands(problem: Problem, fit: Fit, passing: Sequence[Trial]) -> tuple[Trial | None, Fit]:

@@ -53,7 +53,7 @@ def _positions(problem: Problem, simulated: SimulatedRobot, values: np.ndarray, 
 def _traces(found: Diagnosis) -> pa.Table:
     problem, windows = found.problem, found.problem.proof
     versions = {
-        "published": _positions(problem, SimulatedRobot(problem.robot, ()), np.zeros(0), windows),
+        "published": _positions(problem, SimulatedRobot(problem.robot.published, ()), np.zeros(0), windows),
         "before": _positions(problem, found.before.objective.simulated, found.before.values, windows),
         "after": _positions(problem, found.after.objective.simulated, found.after.values, windows),
     }

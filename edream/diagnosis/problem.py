@@ -27,6 +27,7 @@ PIECES, MOST_PIECES, PIECE = 8, 40, 12.0  # how many pieces fewer motions are cu
 LEAST_ROWS = 20  # measurements of a motion
 OUTLYING = (0.5, 99.5)  # percentiles of the positions between which a joint moved
 STILL = 0.02  # rad
+VISIBLE = 0.1  # of the floor: with nothing hidden, less is left over it
 NOMINAL_SPREAD = math.log(1.35)
 
 

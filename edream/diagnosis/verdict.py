@@ -17,6 +17,7 @@ from edream.diagnosis.left_out import bootstrap, left_out_errors, proof_errors
 from edream.diagnosis.nuisance import fit_nuisance, published
 from edream.diagnosis.problem import Problem, nuisance_placements
 from edream.diagnosis.remainder import Remainder, find_remainder
+from edream.diagnosis.steps import in_continuous_time
 from edream.diagnosis.suspects import Suspect, find_suspects, most_ordinary
 from edream.diagnosis.trials import Trial
 from edream.sim.objective import rms
@@ -60,7 +61,7 @@ class Diagnosis:
     """What was found, and the evidence.
 
     Attributes:
-        problem: what was worked on.
+        problem: what was worked on, its robot with the time step that was used.
         verdict: the outcome.
         sentence: the outcome in words.
         effects: what is missing.
@@ -99,8 +100,9 @@ def diagnose(problem: Problem, done: Callable[[str, int], object] = lambda text,
     ladder = [("published", np.sqrt(proof_errors(problem, start)))]
     before = fit_nuisance(problem)
     done("nuisance", 1)
+    problem, fit, rounds = forward(problem, before, done)
+    before = rounds[0].before
     ladder.append(("calibrated", np.sqrt(proof_errors(problem, before))))
-    fit, rounds = forward(problem, before, done)
     taken = [one.taken for one in rounds if one.taken is not None]
     ladder += [(_label(t), np.sqrt(proof_errors(problem, t.fit))) for t in taken]
     fit, kept = backward(problem, fit, [t.candidate for t in taken])
@@ -130,7 +132,7 @@ def diagnose(problem: Problem, done: Callable[[str, int], object] = lambda text,
     return Diagnosis(
         problem=problem,
         verdict=verdict,
-        sentence=sentence(verdict, effects, remainder, problem.robot.joints),
+        sentence=sentence(verdict, effects, remainder, problem.robot.joints) + on_steps(problem),
         effects=tuple(effects),
         before=before,
         after=fit,
@@ -208,8 +210,13 @@ def off_nominal(problem: Problem, fit: Fit) -> list[Named]:
 
 
 def strange_numbers(problem: Problem, fit: Fit) -> list[Named]:
-    """Nuisance numbers that are far from the published ones. A servo's damping goes with its gain."""
+    """Nuisance numbers that are far from the published ones, in the simulator's steps and in continuous time.
+
+    A servo's damping goes with its gain.
+    """
     found = []
+    fitted = fit.space.mapping(fit.values)
+    steady = in_continuous_time(problem, fitted)
     gains: dict[tuple[str, ...], float] = {}
     for place in fit.objective.simulated.placements:
         if place.effect.name not in problem.settings.nuisance:
@@ -221,7 +228,9 @@ def strange_numbers(problem: Problem, fit: Fit) -> list[Named]:
                 gains[place.targets] = values[parameter.name] / parameter.start
             elif place.effect.name == "viscous":
                 usual = gains.get(place.targets, 1.0)
-            if is_strange(parameter, intervals[parameter.name], usual):
+            full, (low, high) = place.full_name(parameter.name), intervals[parameter.name]
+            shift = steady[full] - fitted[full]
+            if is_strange(parameter, (low + min(0.0, shift), high + max(0.0, shift)), usual):
                 found.append(
                     Named(place.effect.name, place.effect.summary, place.targets, values, intervals, units, float("nan"), None, ())
                 )
@@ -319,6 +328,15 @@ def sentence(verdict: Verdict, effects: Sequence[Named], remainder: Remainder | 
         names = "; ".join(f"{one.name} may be {' or '.join(_short(r, one) for r in one.confusable_with)}" for one in doubtful)
         return f"Your simulator lacks {_and(parts)}, but these motions cannot tell it from others: {names}."
     return f"Your simulator lacks {_and(parts)}."
+
+
+def on_steps(problem: Problem) -> str:
+    """What to say where the published time step is too long; nothing otherwise."""
+    robot = problem.robot
+    if robot.step is None:
+        return ""
+    long, short = (f"{1e3 * float(step):.3g} ms" for step in (robot.published.model.opt.timestep, robot.step))
+    return f" Its steps of {long} are too long for such servos; all of this is with steps of {short}."
 
 
 def _on(targets: Sequence[str], joints: Sequence[str]) -> str:

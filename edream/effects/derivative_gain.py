@@ -8,8 +8,7 @@ import numpy as np
 from edream.core.effect import Effect, Fields, Values, joint_index
 from edream.core.parameters import Parameter
 from edream.sim.scales import largest
-
-TRACE = 1e-12  # N m s/rad: a servo said to damp nothing, other than one whose damping `viscous` took over
+from edream.sim.servo import part_damping
 
 
 class DerivativeGain(Effect):
@@ -18,7 +17,7 @@ class DerivativeGain(Effect):
         tau = kp (u - q) - kv qd
 
     Told from `viscous` only where torque was switched off: the joint then falls against its own damping alone. Where both are
-    placed, `viscous` is the joint's damping and this the servo's. Writes `biasprm[2]`, after `viscous` has cleared it.
+    placed, `viscous` is the joint's damping and this the servo's. Writes `biasprm[2]`.
     Parameter: kv [N m s/rad], absolute. Source: MuJoCo XML reference, actuator/position.
     """
 
@@ -36,7 +35,7 @@ class DerivativeGain(Effect):
         return (Parameter("kv", "N m s/rad", 0.0, high, float(np.clip(nominal, 0.0, high)), absent=0.0),)
 
     def write(self, fields: Fields, target: str, values: Values) -> None:
-        fields["actuator_biasprm"][:, joint_index(fields.model, target)["actuator"], 2] = -np.maximum(values["kv"], TRACE)
+        part_damping(fields, target, values["kv"])
 
 
 ENTRY = DerivativeGain()

@@ -8,6 +8,7 @@ import numpy as np
 from edream.core.effect import Effect, Fields, Values, joint_index
 from edream.core.parameters import Parameter
 from edream.sim.scales import BANDWIDTH, largest, position_gain
+from edream.sim.servo import merge_damping
 
 
 class Viscous(Effect):
@@ -15,8 +16,9 @@ class Viscous(Effect):
 
         tau = -b qd
 
-    Free motion shows only the sum of the joint's damping and the servo's derivative gain, so both are one number here:
-    the servo's `kv` is set to 0 and the joint's `damping` to b. `derivative_gain` splits them where torque was switched off.
+    Free motion shows only the sum of the joint's damping and the servo's derivative gain, so both are one number here, the joint's
+    `damping`, and the servo's `kv` is 0. Where the servo's torque is limited, which its own damping counts towards, the servo keeps
+    the share that it has as published. `derivative_gain` splits them where torque was switched off.
     Parameter: damping b [N m s/rad], absolute. Source: Armstrong-Helouvry, Dupont, Canudas de Wit, Automatica 30(7), 1994.
     """
 
@@ -38,9 +40,7 @@ class Viscous(Effect):
         return ({"damping": 0.7 * start}, {"damping": 1.4 * start})
 
     def write(self, fields: Fields, target: str, values: Values) -> None:
-        index = joint_index(fields.model, target)
-        fields["actuator_biasprm"][:, index["actuator"], 2] = 0.0
-        fields["dof_damping"][:, index["drive"]] = values["damping"]
+        merge_damping(fields, target, values["damping"])
 
 
 ENTRY = Viscous()

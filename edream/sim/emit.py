@@ -97,8 +97,8 @@ def emit(
         _transfer(spec, compiled, target, name)
     final = spec.compile()
     mjcf = _all_digits(spec.to_xml(), simulated.robot.mjcf, final)
-    published = simulated.robot.spec()
-    original = _all_digits(_compiled_xml(published), simulated.robot.mjcf, simulated.robot.model)
+    published = simulated.robot.published
+    original = _all_digits(_compiled_xml(published.spec()), published.mjcf, published.model)
     lines = difflib.unified_diff(original.splitlines(), mjcf.splitlines(), "published", "with effects", lineterm="", n=2)
     return EmittedModel(mjcf, _beside(simulated.robot.assets), hook_text(simulated, numbers, final), "\n".join(lines) + "\n")
 

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path, PurePosixPath
 
@@ -29,6 +29,7 @@ class RobotModel:
         site: name of the end-effector site, or None for the last body of the chain.
         recorded: the joints that recordings are about, where the model drives more than these; empty for all.
         clear: whether nothing touches in the recordings, so that searches may leave contacts out; see `edream.sim.touch`.
+        step: the simulator's time step [s] where it is another than the text says; see `edream.diagnosis.steps`.
     """
 
     name: str
@@ -37,6 +38,12 @@ class RobotModel:
     site: str | None = None
     recorded: tuple[str, ...] = ()
     clear: bool = False
+    step: float | None = None
+
+    @property
+    def published(self) -> "RobotModel":
+        """The robot with the time step that its text says."""
+        return self if self.step is None else replace(self, step=None)
 
     def spec(self) -> mujoco.MjSpec:
         """A fresh, editable `mujoco.MjSpec` of this robot; links without a name are called after their joint, `<joint>_link`.
@@ -52,6 +59,8 @@ class RobotModel:
         for joint in spec.joints:
             if joint.name and not joint.parent.name and joint.name + LINK_SUFFIX not in taken:
                 joint.parent.name = joint.name + LINK_SUFFIX
+        if self.step is not None:
+            spec.option.timestep = self.step
         return spec
 
     @property

@@ -102,22 +102,45 @@ def places(model: mujoco.MjModel, joints: Sequence[str], readings: Float[np.ndar
 
 def damping_inside(model: mujoco.MjModel, targets: Sequence[str]) -> Parameter:
     """What share of a joint's damping is the servo's, and so within its limits: as published, give or take."""
-    shares = []
-    for target in targets:
-        index = joint_index(model, target)
-        published = -float(model.actuator_biasprm[index["actuator"], 2])
-        shares.append(published / max(published + float(model.dof_damping[index["drive"]]), 1e-12))
-    return Parameter("inside", "1", 0.0, 1.0, min(max(shares), 1.0), spread=0.2)
+    return Parameter("inside", "1", 0.0, 1.0, max(_published_share(model, target) for target in targets), spread=0.2)
+
+
+def share_within_limit(model: mujoco.MjModel, joint: str) -> float:
+    """What share of a joint's damping counts towards the limit of its servo's torque, as published; 0 where there is no limit."""
+    return _published_share(model, joint) if model.actuator_forcelimited[joint_index(model, joint)["actuator"]] else 0.0
+
+
+def _published_share(model: mujoco.MjModel, joint: str) -> float:
+    index = joint_index(model, joint)
+    published = -float(model.actuator_biasprm[index["actuator"], 2])
+    return min(published / max(published + float(model.dof_damping[index["drive"]]), 1e-12), 1.0)
+
+
+def merge_damping(fields: Fields, joint: str, damping: Float[np.ndarray, "N"]) -> None:
+    """Write one number for the damping of a joint and its servo [N m s/rad]; what counts towards a limit stays with the servo."""
+    _split(fields, joint, damping, share_within_limit(fields.model, joint))
+    fields.merged.add(joint)
 
 
 def share_damping(fields: Fields, joint: str, inside: Float[np.ndarray, "N"]) -> None:
-    """Give the servo its share of a joint's damping again, where one number for both stands on the joint alone.
+    """Give the servo its share of a joint's damping, where one number for both was written.
 
-    What the servo damps is part of its torque, and so within its limits; what the joint damps is not. Where `derivative_gain` has
-    said what the servo damps, that stands.
+    What the servo damps is part of its torque, and so within its limits; what the joint damps is not.
     """
+    if joint in fields.merged:
+        index = joint_index(fields.model, joint)
+        both = fields["dof_damping"][:, index["drive"]] - fields["actuator_biasprm"][:, index["actuator"], 2]
+        _split(fields, joint, both, inside)
+
+
+def part_damping(fields: Fields, joint: str, servos: Float[np.ndarray, "N"]) -> None:
+    """Write the servo's own damping [N m s/rad]; where one number for both was written, that is the joint's from here on."""
+    share_damping(fields, joint, np.zeros(fields.count))
+    fields.merged.discard(joint)
+    fields["actuator_biasprm"][:, joint_index(fields.model, joint)["actuator"], 2] = -servos
+
+
+def _split(fields: Fields, joint: str, damping: Float[np.ndarray, "N"], inside: Float[np.ndarray, "N"] | float) -> None:
     index = joint_index(fields.model, joint)
-    merged = fields["actuator_biasprm"][:, index["actuator"], 2] == 0.0
-    damping = fields["dof_damping"][merged, index["drive"]]
-    fields["actuator_biasprm"][merged, index["actuator"], 2] = -damping * inside[merged]
-    fields["dof_damping"][merged, index["drive"]] = damping * (1.0 - inside[merged])
+    fields["actuator_biasprm"][:, index["actuator"], 2] = -damping * inside
+    fields["dof_damping"][:, index["drive"]] = damping * (1.0 - inside)

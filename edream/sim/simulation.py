@@ -240,6 +240,7 @@ class BatchFields:
         self.model = model
         self.count = simulations.nsim
         self.touched: set[str] = set()
+        self.merged: set[str] = set()
         self._simulations = simulations
 
     def __getitem__(self, name: str) -> Float[np.ndarray, "N ..."]:

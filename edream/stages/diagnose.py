@@ -67,7 +67,7 @@ def run(inputs: Mapping[str, Artifact], config: DiagnoseConfig, work: Work) -> B
         bundle[HOOK] = made.hook
     doubted = config.diagnose.next_motion and len(found.contenders) > 1
     if doubted:
-        motion = suggest(problem, [fit for _, fit in found.contenders], work.rng)
+        motion = suggest(found.problem, [fit for _, fit in found.contenders], work.rng)
         bundle |= motion_files(motion, work) if motion is not None else {}
     return bundle | {"summary.json": summary(found, bundle, advice(found, bundle) if doubted else "")}
 
@@ -132,6 +132,10 @@ def summary(found: Diagnosis, bundle: Mapping[str, Any], more: str) -> dict[str,
             "after_rad": found.after_rms,
             "noise_floor_rad": problem.noise_floor,
         },
+        "step_s": {
+            "published": float(problem.robot.published.model.opt.timestep),
+            "used": float(problem.robot.model.opt.timestep),
+        },
         "formula": None if found.remainder is None else found.remainder.formula,
         "parameters": found.after.space.mapping(found.after.values),
         "motions": {
@@ -145,4 +149,4 @@ def summary(found: Diagnosis, bundle: Mapping[str, Any], more: str) -> dict[str,
     }
 
 
-ENTRY = Stage("diagnose", 38, ("ingest",), DiagnoseConfig, run, sources, ("mujoco", "numpy", "scipy"))
+ENTRY = Stage("diagnose", 39, ("ingest",), DiagnoseConfig, run, sources, ("mujoco", "numpy", "scipy"))

@@ -1,0 +1,105 @@
+"""How long the simulator's steps may be: so short that shorter ones would not move the robot otherwise."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+
+from edream.core.parameters import targets_in
+from edream.diagnosis.descent import Fit, descend
+from edream.diagnosis.problem import VISIBLE, Problem
+from edream.sim.objective import Objective, rms
+from edream.sim.servo import share_within_limit
+from edream.sim.simulation import SimulatedRobot
+
+SHORTER = 4  # times: the step that a replay is compared with
+HALVINGS = 3
+WORTH = 0.9  # of the error that longer steps leave
+LEAST = 0.5  # of the error: what less than that differs by cannot be worth so much
+GAIN, DAMPING, INERTIA = "servo_gain.kp", "viscous.damping", "armature.inertia"
+
+
+def with_short_steps(problem: Problem, fit: Fit) -> tuple[Problem, Fit]:
+    """The problem and its fit, with steps as short as its servos ask for.
+
+    The error of MuJoCo's integrators (all but Runge-Kutta) goes with the step h. Much of it is what other numbers would do: a
+    command acts half a step early, which on smooth motions more damping makes up for, and a damping d acts half a step late, which
+    less inertia would make up for (`moved`). What is left is no effect of the robot's, and must not be taken for one: steps are
+    halved as long as that closes a tenth of a visible error.
+    """
+    for _ in range(HALVINGS):
+        if not may_tell(problem, fit):
+            break
+        step = float(problem.robot.model.opt.timestep) / 2.0
+        objective, unit, residual = _replayed(problem, fit, step)
+        found = descend(replace(fit, objective=objective, unit=unit, residual=residual, ended=False), None, iterations=3)
+        if found.rms >= WORTH * fit.rms:
+            break
+        problem, fit = replace(problem, robot=replace(problem.robot, step=step)), found
+    return problem, fit
+
+
+def may_tell(problem: Problem, fit: Fit) -> bool:
+    """Whether an error can be seen, and shorter steps move the robot so differently that this may be the error."""
+    model = problem.robot.model
+    if not first_order(model) or fit.rms <= (1.0 + VISIBLE) * problem.floor:
+        return False
+    _, _, residual = _replayed(problem, fit, float(model.opt.timestep) / SHORTER)
+    return rms(residual - fit.residual) / (1.0 - 1.0 / SHORTER) >= LEAST * fit.rms
+
+
+def first_order(model: mujoco.MjModel) -> bool:
+    """Whether the error of a model's integrator goes with the first power of its step."""
+    return int(model.opt.integrator) != int(mujoco.mjtIntegrator.mjINT_RK4)
+
+
+def moved(model: mujoco.MjModel, values: Mapping[str, float], less: float) -> dict[str, float]:
+    """Usual numbers with which steps that are shorter by `less` [s] move a robot smoothly as these do.
+
+        d' = d - kp less / 2,  I' = I + s d less / 2
+
+    with s = 1 for damping that is implicit, -1 for damping that is not (a servo's under the Euler method).
+    Source: the modified equation of the semi-implicit Euler method, Hairer, Lubich, Wanner, Geometric Numerical Integration,
+    chapter IX. `less` is the whole step for numbers of the robot itself, in continuous time.
+
+    Args:
+        model: with the longer steps.
+        values: full parameter name -> value of gain [N m/rad], damping [N m s/rad] and inertia [kg m^2]; others stay as they are.
+    """
+    out = dict(values)
+    for name, value in values.items():
+        quantity, _, place = name.partition("[")
+        if quantity == DAMPING:
+            out[name] = value - values.get(f"{GAIN}[{place}", 0.0) * less / 2.0
+        elif quantity == INERTIA:
+            late = _lateness(model, next(iter(targets_in(name))))
+            out[name] = value + late * values.get(f"{DAMPING}[{place}", 0.0) * less / 2.0
+    return out
+
+
+def _lateness(model: mujoco.MjModel, joint: str) -> float:
+    """The mean of s over a joint's damping and its servo's."""
+    if int(model.opt.integrator) != int(mujoco.mjtIntegrator.mjINT_EULER):
+        return 1.0
+    implicit = not int(model.opt.disableflags) & int(mujoco.mjtDisableBit.mjDSBL_EULERDAMP)
+    inside = share_within_limit(model, joint)
+    return (1.0 - inside) * (1.0 if implicit else -1.0) - inside
+
+
+def in_continuous_time(problem: Problem, values: Mapping[str, float]) -> dict[str, float]:
+    """Usual numbers as the robot itself has them, by what was fitted with the simulator's steps."""
+    model = problem.robot.model
+    return moved(model, values, float(model.opt.timestep)) if first_order(model) else dict(values)
+
+
+def _replayed(problem: Problem, fit: Fit, step: float) -> tuple[Objective, np.ndarray, np.ndarray]:
+    """The objective with another time step [s], the unit-box numbers with which it moves the robot most as the fit does, (P,), and
+    the residual there [rad], (R,). They are the fit's own, or those that make up for the step on smooth motions."""
+    simulated = SimulatedRobot(replace(problem.robot, step=step), fit.objective.simulated.placements)
+    objective, space = replace(fit.objective, simulated=simulated, simulations=0), simulated.space
+    found, less = fit.space.mapping(fit.values), float(problem.robot.model.opt.timestep) - step
+    sets = np.array([space.vector(one) for one in (found, moved(problem.robot.model, found, less))])
+    residuals = objective.residuals(sets)
+    nearest = int(np.argmin([rms(residual - fit.residual) for residual in residuals]))
+    return objective, np.clip(space.to_unit(sets[nearest]), 0.0, 1.0), residuals[nearest]

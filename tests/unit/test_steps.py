@@ -1,0 +1,77 @@
+"""Steps that are too long for a servo are no effect of the robot's."""
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+
+from edream.diagnosis.descent import Fit
+from edream.diagnosis.nuisance import fit_nuisance
+from edream.diagnosis.problem import Problem
+from edream.diagnosis.steps import in_continuous_time, may_tell, moved, with_short_steps
+from edream.diagnosis.verdict import on_steps, strange_numbers
+from edream.sim.emit import emit
+from edream.sim.robot import RobotModel
+from edream.sim.simulation import SimulatedRobot
+from tests.still_problem import fit_of, pan_tilt, still_problem
+
+FINE = 0.000125  # s: a sixteenth of the published step
+
+
+def stiff() -> RobotModel:
+    """The arm with servos five times as stiff and without a limit."""
+    robot = pan_tilt()
+    return replace(robot, mjcf=robot.mjcf.replace('kp="20"', 'kp="100"').replace('forcerange="-5 5"', ""))
+
+
+@pytest.fixture(scope="module")
+def coarse() -> tuple[Problem, Fit]:
+    """What an arm with such servos did, and its fit with the published step."""
+    problem = still_problem(stiff(), FINE, jump=0.4)
+    return problem, fit_nuisance(problem)
+
+
+def test_on_smooth_motions_other_numbers_make_up_for_another_step() -> None:
+    problem = still_problem()
+    fit = fit_of(problem)
+    step = float(problem.robot.model.opt.timestep)
+    simulated = SimulatedRobot(replace(problem.robot, step=step / 8), fit.objective.simulated.placements)
+    fine = replace(fit.objective, simulated=simulated, simulations=0)
+    names = fit.space.mapping(fit.values)
+    sets = [names, moved(problem.robot.model, names, step * 7 / 8)]
+    as_they_are, made_up = fine.residuals(np.array([simulated.space.vector(one) for one in sets])) - fit.residual
+    assert np.abs(made_up).mean() < 0.5 * np.abs(as_they_are).mean()
+
+
+def test_damping_that_a_servo_does_explicitly_is_late_the_other_way() -> None:
+    text = pan_tilt().mjcf
+    values = {"viscous.damping[tilt]": 0.6, "armature.inertia[tilt]": 0.01, "servo_gain.kp[tilt]": 20.0}
+    late = {}
+    for integrator in ("implicitfast", "Euler", "RK4"):
+        problem = still_problem(replace(pan_tilt(), mjcf=text.replace('integrator="implicitfast"', f'integrator="{integrator}"')))
+        found = in_continuous_time(problem, values)
+        late[integrator] = found["armature.inertia[tilt]"] - 0.01
+        assert found["viscous.damping[tilt]"] == pytest.approx(0.6 if integrator == "RK4" else 0.6 - 20.0 * 0.001)
+    assert late["implicitfast"] == pytest.approx(0.6 * 0.001)
+    assert late["Euler"] == pytest.approx((0.1 - 0.5) * 0.001)  # the servo has a limit, and 0.5 of the 0.6 are its own
+    assert late["RK4"] == 0.0
+
+
+def test_steps_are_halved_where_that_closes_a_visible_error(coarse: tuple[Problem, Fit]) -> None:
+    problem, fit = coarse
+    shorter, found = with_short_steps(problem, fit)
+    assert shorter.robot.step is not None and shorter.robot.step < 0.002
+    assert fit.rms > 2.0 * problem.floor
+    assert found.rms < 0.5 * fit.rms
+    assert "steps of 2 ms are too long" in on_steps(shorter)
+    assert [one.name for one in strange_numbers(shorter, found)] == []
+    made = emit(found.objective.simulated, found.values)
+    assert mujoco.MjModel.from_xml_string(made.mjcf).opt.timestep == shorter.robot.step
+    assert "timestep" in made.difference
+
+
+def test_steps_stay_as_they_are_where_recordings_were_made_with_them(fit: Fit, problem: Problem) -> None:
+    assert not may_tell(problem, fit)
+    assert with_short_steps(problem, fit) == (problem, fit)
+    assert on_steps(problem) == ""
