@@ -107,7 +107,9 @@ def damping_inside(model: mujoco.MjModel, targets: Sequence[str]) -> Parameter:
 
 def share_within_limit(model: mujoco.MjModel, joint: str) -> float:
     """What share of a joint's damping counts towards the limit of its servo's torque, as published; 0 where there is no limit."""
-    return _published_share(model, joint) if model.actuator_forcelimited[joint_index(model, joint)["actuator"]] else 0.0
+    actuator = joint_index(model, joint)["actuator"]
+    limited = model.actuator_forcelimited[actuator] or model.jnt_actfrclimited[model.actuator_trnid[actuator, 0]]
+    return _published_share(model, joint) if limited else 0.0
 
 
 def _published_share(model: mujoco.MjModel, joint: str) -> float:

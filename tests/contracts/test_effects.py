@@ -1,6 +1,7 @@
 """Contracts of every effect, run on each entry of the catalog without being told."""
 
 import re
+from dataclasses import replace
 from functools import cache
 from itertools import product
 from pathlib import Path
@@ -259,6 +260,24 @@ def test_a_torque_limit_holds_the_servos_share_of_the_damping() -> None:
         assert model.actuator("tilt").biasprm[2] == pytest.approx(-0.9 * inside)
         assert model.joint("tilt").damping[0] == pytest.approx(0.9 * (1.0 - inside))
         assert model.actuator("tilt").forcerange[1] == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "inside"),
+    [
+        ("", "", 5.0 / 6.0),
+        (' forcerange="-5 5"', "", 0.0),
+        (' forcerange="-5 5"', ' actuatorfrcrange="-5 5"', 5.0 / 6.0),
+    ],
+)
+def test_what_a_servo_with_a_limit_damps_stays_within_it(before: str, after: str, inside: float) -> None:
+    """The published servo has kv 0.5 beside a joint damping of 0.1."""
+    published = robot("pan_tilt")
+    changed = published.mjcf.replace(before, "").replace('damping="0.10"', f'damping="0.10"{after}')
+    simulated = SimulatedRobot(replace(published, mjcf=changed), (Placement(load("viscous"), ("tilt",)),))
+    model = mujoco.MjModel.from_xml_string(emit(simulated, {"viscous.damping[tilt]": 0.9}).mjcf)
+    assert model.actuator("tilt").biasprm[2] == pytest.approx(-0.9 * inside)
+    assert model.joint("tilt").damping[0] == pytest.approx(0.9 * (1.0 - inside))
 
 
 @pytest.mark.parametrize("kv", [0.3, 0.0])

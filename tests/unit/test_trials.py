@@ -133,7 +133,7 @@ def test_strange_numbers_are_an_answer_only_where_nothing_is_left(
         "published": lambda problem: None,
         "fit_nuisance": lambda problem: FitOf("usual", 1.0),
         "proof_errors": lambda problem, fit: errors,
-        "forward": lambda problem, fit, done: (fit, [nothing]),
+        "forward": lambda problem, fit, done: (problem, fit, [nothing]),
         "backward": lambda problem, fit, candidates: (fit, []),
         "strange_numbers": lambda problem, fit: [gain],
         "most_ordinary": lambda problem, fit: fit,
@@ -143,7 +143,8 @@ def test_strange_numbers_are_an_answer_only_where_nothing_is_left(
         "find_remainder": lambda problem, fit, beside_names=False: None,
     }.items():
         monkeypatch.setattr(verdict, name, value)
-    problem = SimpleNamespace(floor=1e-3, robot=SimpleNamespace(joints=("pan", "tilt")), settings=SimpleNamespace(seed=0))
+    robot = SimpleNamespace(joints=("pan", "tilt"), step=None)
+    problem = SimpleNamespace(floor=1e-3, robot=robot, settings=SimpleNamespace(seed=0))
     found = verdict.diagnose(problem)
     assert found.verdict == expected and [one.name for one in found.effects] == named
     assert ("servo gain" in found.sentence) is bool(named)
