@@ -15,7 +15,8 @@ from typing import Any
 
 from omegaconf import OmegaConf
 
-from edream import catalog, cli_show, config, executor
+from edream import catalog, cli_show, config
+from edream.core.cores import cores
 from edream.core.errors import unknown_name
 
 PACKAGES = (
@@ -81,7 +82,7 @@ def doctor(json: bool) -> None:
         "edream": _version("edream") or "from a checkout",
         "python": platform.python_version(),
         "system": platform.platform(),
-        "cores": executor.cores(),
+        "cores": cores(),
         "OMP_NUM_THREADS": os.environ.get("OMP_NUM_THREADS"),
         "packages": {name: _version(name) or "missing" for name in PACKAGES},
         "rendering": {kind: _renderer(kind) for kind in ("egl", "osmesa")},

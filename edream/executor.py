@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from itertools import islice
 from typing import Any, ClassVar
 
+from edream.core.cores import cores
 from edream.core.errors import EdreamError, unknown_name
 
 
@@ -151,11 +152,6 @@ def create(kind: str, workers: int, address: str | None = None) -> Executor:
     if kind not in ("local", "ray"):
         raise unknown_name("executor", kind, ["local", "ray"])
     return Local(workers) if kind == "local" else Ray(address, workers)
-
-
-def cores() -> int:
-    """How many cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _end_with_parent() -> None:

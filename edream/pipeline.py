@@ -18,6 +18,7 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 from edream import __version__, catalog, config, executor, kinds
+from edream.core.cores import cores
 from edream.core.errors import EdreamError
 from edream.core.stage import Source, Stage, stage_of
 from edream.store import Store, StoredArtifact, writing
@@ -356,7 +357,7 @@ def _without_paths(values: Any) -> Any:
 def _numerics(packages: tuple[str, ...]) -> dict[str, str]:
     found = {package: version(package) for package in packages}
     if "torch" in packages:
-        found["torch threads"] = os.environ.get("OMP_NUM_THREADS") or str(executor.cores())
+        found["torch threads"] = os.environ.get("OMP_NUM_THREADS") or str(cores())
         if os.environ.get("WORLD_SIZE", "1") != "1":
             found["torch processes"] = os.environ["WORLD_SIZE"]
     return found
@@ -370,7 +371,7 @@ def _made(started: datetime, seconds: float) -> dict[str, Any]:
         "git": _commit(),
         "argv": [Path(sys.argv[0]).name, *sys.argv[1:]],
         "versions": {"edream": __version__} | {package: version(package) for package in PACKAGES},
-        "machine": {"system": platform.platform(), "python": platform.python_version(), "cores": executor.cores()},
+        "machine": {"system": platform.platform(), "python": platform.python_version(), "cores": cores()},
     }
 
 

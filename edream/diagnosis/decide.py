@@ -15,6 +15,7 @@ from edream.diagnosis.narrowing import narrowed
 from edream.diagnosis.problem import VISIBLE, Problem
 from edream.diagnosis.rough import rough_candidates, searched
 from edream.diagnosis.screen import Scored, extend, screen
+from edream.diagnosis.side_by_side import side_by_side
 from edream.diagnosis.steps import with_short_steps
 from edream.diagnosis.trials import (
     HALF,
@@ -135,10 +136,11 @@ def settled(problem: Problem, errors: Float[np.ndarray, "M"], trials: Sequence[T
     short = leads is not None and is_brief(leads.fit) and not leaves_no_gap(problem, leads.fit)
     best = [t for t in worth_it if t.closed >= (BEHIND if short else NEAR) * most][:RIVALS]
     near = [t for t in best if is_brief(t.fit) or not passes(problem, t)]
-    ends = [descend(replace(t.fit, scale=worth(t.fit.objective, t.fit.residual)), None, 4) for t in near]
+    begun, threads = [replace(t.fit, scale=worth(t.fit.objective, t.fit.residual)) for t in near], problem.settings.threads
+    ends = list(side_by_side(lambda one: descend(one, None, 4), begun, threads))
     if short and not any(leaves_no_gap(problem, end) for end in ends):
         ends = to_their_ends(problem, ends)
-    again = [judged(problem, end, errors, t) for end, t in zip(ends, near, strict=True)]
+    again = list(side_by_side(lambda pair: judged(problem, pair[0], errors, pair[1]), list(zip(ends, near, strict=True)), threads))
     better = [max(pair, key=lambda t: (passes(problem, t), t.closed)) for pair in zip(near, again, strict=True)]
     return sorted([*better, *(t for t in trials if t not in near)], key=lambda t: -t.closed)
 
@@ -168,7 +170,9 @@ def restarted(problem: Problem, errors: Float[np.ndarray, "M"], trials: Sequence
         return list(trials)
     bare = without(best.fit, best.candidate)
     near = [t for t in trials if t is not best and t.sure and t.closed >= ALIKE * best.closed][:SHAPES]
-    again = [judged(problem, beside(problem, bare, t.candidate), errors, t) for t in near]
+    again = list(
+        side_by_side(lambda t: judged(problem, beside(problem, bare, t.candidate), errors, t), near, problem.settings.threads)
+    )
     better = [max(pair, key=lambda t: (passes(problem, t), t.closed)) for pair in zip(near, again, strict=True)]
     return sorted([*better, *(t for t in trials if t not in near)], key=lambda t: -t.closed)
 
@@ -265,11 +269,15 @@ def with_confusable(
     tried = {t.candidate.effect for t in trials}
     twins = {s.candidate.effect: s for s in reversed(scored) if s.candidate.effect in known and s.candidate.effect not in tried}
     few, most = on_few(fit), 1.0 - (best.fit.rms / fit.rms) ** 2
-    more = []
-    for one in twins.values():
+
+    def heard(one: Scored) -> Trial | None:
         begun = refitted(problem, few, one, iterations=2)
-        if 1.0 - (begun.rms / few.rms) ** 2 >= HOPELESS * most:
-            more.append(judged(problem, gone_on(fit, begun), errors, one))
+        hopeful = 1.0 - (begun.rms / few.rms) ** 2 >= HOPELESS * most
+        return judged(problem, gone_on(fit, begun), errors, one) if hopeful else None
+
+    more = []
+    for trial in side_by_side(heard, list(twins.values()), problem.settings.threads):
+        more += [trial] if trial is not None else []
         done(1)
     return sorted([*trials, *more], key=lambda t: -t.closed)
 

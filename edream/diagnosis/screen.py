@@ -24,6 +24,7 @@ from edream.core.parameters import Parameter, targets_in
 from edream.diagnosis.candidates import Candidate, acted_on, alike, groups_of, library, placement, probes_of, rounds
 from edream.diagnosis.descent import Fit
 from edream.diagnosis.problem import Problem
+from edream.diagnosis.side_by_side import side_by_side
 from edream.sim.objective import Objective
 from edream.sim.simulation import Placement, SimulatedRobot, write_fields
 
@@ -59,21 +60,22 @@ def screen(problem: Problem, fit: Fit, done: Callable[[int], object] = lambda n:
     unexplained = unexplained_by(fit)
     total = float(unexplained(fit.residual[None])[0])
     present = fit.objective.simulated.placements
-    first: list[Scored] = []
-    for one in rounds(problem, library(problem)):
+
+    def probed(one: Sequence[Candidate]) -> list[Scored]:
         fresh = [c for c in one if not acts_already(c, present)]
         if fresh and not fits_beside(problem, fit, fresh):
             fresh = [c for c in fresh if fits_beside(problem, fit, [c])]
-        if fresh:
-            first += _probe_round(problem, fit, fresh, total)
+        return _probe_round(problem, fit, fresh, total) if fresh else []
+
+    first: list[Scored] = []
+    for found in side_by_side(probed, rounds(problem, library(problem)), problem.settings.threads):
+        first += found
         done(1)
-    second = [
-        again
-        for s in with_scan(problem, fit, finalists(worthwhile(problem, first)))
-        if (again := confirm(problem, fit, s, unexplained, total)) is not None
-    ]
+    last = with_scan(problem, fit, finalists(worthwhile(problem, first)))
+    second = side_by_side(lambda s: confirm(problem, fit, s, unexplained, total), last, problem.settings.threads)
+    out = sorted((s for s in second if s is not None), key=lambda s: -s.share)
     done(1)
-    return sorted(second, key=lambda s: -s.share)
+    return out
 
 
 def thinned(fit: Fit, seconds: float) -> Fit:

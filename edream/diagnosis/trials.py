@@ -22,6 +22,7 @@ from edream.diagnosis.screen import (
     unexplained_by,
     with_quantities,
 )
+from edream.diagnosis.side_by_side import side_by_side
 from edream.sim.differences import STEP
 from edream.sim.least_squares import worth
 from edream.sim.objective import Objective, rms
@@ -72,21 +73,21 @@ def try_best(
         bold = try_boldly(problem, fit, errors, places, done)
         # short stretches forget how friction was bent before them: what the score test points at is refitted on whole motions, too
         lost = [s for s in scored[:LIKELIEST] if s.candidate not in [t.candidate for t in bold]]
-        return sorted([*bold, *(refit(problem, fit, errors, one) for one in lost)], key=lambda t: -t.closed)
+        more = side_by_side(lambda one: refit(problem, fit, errors, one), lost, problem.settings.threads)
+        return sorted([*bold, *more], key=lambda t: -t.closed)
     serious = [s for s in scored if s.share >= SERIOUS_SHARE]
     # one set of numbers for a hardware group rests on all its joints, which the test of single joints undervalues
     groups = [s for s in serious if len(s.candidate.targets) > 1][:GROUPS]
-    few = on_few(fit)
+    few, threads = on_few(fit), problem.settings.threads
+    tried = [*serious[:REFITTED], *(s for s in groups if s not in serious[:REFITTED])]
     begun = []
-    for one in [*serious[:REFITTED], *(s for s in groups if s not in serious[:REFITTED])]:
-        begun.append((refitted(problem, few, one, iterations=2), one))
+    for near, one in zip(side_by_side(lambda one: refitted(problem, few, one, iterations=2), tried, threads), tried, strict=True):
+        begun.append((near, one))
         done(1)
     begun.sort(key=lambda pair: pair[0].rms)
     gained = [1.0 - (near.rms / few.rms) ** 2 for near, _ in begun]
-    trials = []
-    for (near, one), gain in zip(begun, gained, strict=True):
-        if gain >= HOPELESS * gained[0] and len(trials) < FINISHED:
-            trials.append(judged(problem, gone_on(fit, near), errors, one))
+    hopeful = [pair for pair, gain in zip(begun, gained, strict=True) if gain >= HOPELESS * gained[0]][:FINISHED]
+    trials = side_by_side(lambda pair: judged(problem, gone_on(fit, pair[0]), errors, pair[1]), hopeful, threads)
     return sorted(trials, key=lambda t: -t.closed)
 
 
@@ -111,23 +112,30 @@ def try_boldly(
     small = is_small(fit)
     few = fit if small else thinned(fit, FEW)
     brief = begin(replace(few.objective, windows=stretches(few), simulations=0), fit.unit)
-    rough = []
-    for one in places:
+
+    def roughly(one: Scored) -> tuple[Fit, Scored]:
         place = placement(problem, one.candidate)
         extended, absent = extend(brief, [place])
         starts = bold_starts(problem, place, one, extended, absent)
         best = starts[int(np.argmin([rms(r) for r in extended.residuals(np.array(starts))]))]
-        near = descend(with_column(brief, extended, best), fresh_columns(brief, extended), 3)
-        rough.append((near, extend(fit, [place])[0], one))
+        return descend(with_column(brief, extended, best), fresh_columns(brief, extended), 3), one
+
+    def wholly(found: tuple[Fit, Scored]) -> Trial:
+        begun, one = found
+        near = descend(begun, None, iterations=6)
+        extended, _ = extend(fit, [placement(problem, one.candidate)])
+        return judged(problem, descend(begin(extended, near.unit), None, iterations=4), errors, one)
+
+    rough = []
+    for found in side_by_side(roughly, places, problem.settings.threads):
+        rough.append(found)
         done(1)
     rough.sort(key=lambda found: found[0].rms)
-    gained = [1.0 - (near.rms / brief.rms) ** 2 for near, *_ in rough]
-    trials, least = [], GROUPS if small else 1
-    for (begun, extended, one), gain in zip(rough[:REFITTED], gained, strict=False):
-        if gain < HOPELESS * gained[0] and len(trials) >= least:
-            break
-        near = descend(begun, None, iterations=6)
-        trials.append(judged(problem, descend(begin(extended, near.unit), None, iterations=4), errors, one))
+    gained = [1.0 - (near.rms / brief.rms) ** 2 for near, _ in rough[:REFITTED]]
+    count = next((n for n, gain in enumerate(gained) if gain < HOPELESS * gained[0]), len(gained))
+    trials = []
+    for trial in side_by_side(wholly, rough[: max(count, GROUPS if small else 1)], problem.settings.threads):
+        trials.append(trial)
         done(1)
     return sorted(trials, key=lambda t: -t.closed)
 
@@ -234,7 +242,8 @@ def arrived(problem: Problem, before: Fit, taken: Trial) -> Fit:
     residuals = extended.residuals(np.array(sets))
     promising = np.argsort([rms(r) for r in residuals], kind="stable")[:SHAPES]
     own, space = fresh_columns(before, extended), extended.simulated.space
-    others = [descend(begin(extended, np.clip(space.to_unit(sets[number]), 0.0, 1.0)), own, 3) for number in promising]
+    starts = [np.clip(space.to_unit(sets[number]), 0.0, 1.0) for number in promising]
+    others = side_by_side(lambda start: descend(begin(extended, start), own, 3), starts, problem.settings.threads)
     again = descend(min(others, key=lambda other: other.rms), None, 4)
     return again if again.rms < fit.rms else fit
 

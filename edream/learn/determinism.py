@@ -6,12 +6,13 @@ from contextlib import contextmanager
 
 import torch
 
+from edream.core.cores import cores
+
 
 def threads() -> int:
     """The thread count that keys record: OMP_NUM_THREADS, or every core this process may use."""
     asked = os.environ.get("OMP_NUM_THREADS", "")
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return int(asked) if asked.isdigit() and int(asked) > 0 else cores
+    return int(asked) if asked.isdigit() and int(asked) > 0 else cores()
 
 
 @contextmanager

@@ -1,6 +1,7 @@
 """The one door into MuJoCo: open-loop replay of recorded commands under many parameter sets at once."""
 
 import logging
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import pairwise
@@ -32,6 +33,7 @@ from edream.sim.window import Window
 CHUNK = 100
 FEW = 64  # simulations
 log = logging.getLogger(__name__)
+_quiet, _quietened = threading.Lock(), []  # what MuJoCo called before, then one entry a simulation
 BatchHook = Callable[[batch.Batch], Callable[[], None]]
 
 
@@ -88,13 +90,22 @@ def _run(
 
 @contextmanager
 def unstable_is_a_result() -> Iterator[None]:
-    """MuJoCo neither prints nor writes a log file when a simulation becomes unstable: a search tries such numbers, too."""
-    before = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(log.debug)
+    """MuJoCo neither prints nor writes a log file when a simulation becomes unstable: a search tries such numbers, too.
+
+    Where several threads simulate, the last of them puts back what was there before the first.
+    """
+    with _quiet:
+        if not _quietened:
+            _quietened.append(mujoco.get_mju_user_warning())
+            mujoco.set_mju_user_warning(log.debug)
+        _quietened.append(None)
     try:
         yield
     finally:
-        mujoco.set_mju_user_warning(before)
+        with _quiet:
+            _quietened.pop()
+            if len(_quietened) == 1:
+                mujoco.set_mju_user_warning(_quietened.pop())
 
 
 class _Replay:
