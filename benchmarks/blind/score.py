@@ -23,8 +23,8 @@ def score(case: Case, truth: Truth, model: mujoco.MjModel, result: Mapping[str, 
     """One row of the table.
 
     `found` lists for each hidden effect "named", "told" (not named, but a named one is said to be confusable with it, and the
-    verdict is `cannot_tell`) or "missed". `right` is the answer asked for: every hidden effect found and nothing else
-    named; nothing named where nothing is hidden; `unnamed` with less gap outside the library.
+    verdict is `cannot_tell`) or "missed"; one named effect stands for one hidden effect. `right` is the answer asked for: every
+    hidden effect found and nothing else named; nothing named where nothing is hidden; `unnamed` with less gap outside the library.
     """
     row: dict[str, Any] = {
         "case": case.name,
@@ -45,7 +45,7 @@ def score(case: Case, truth: Truth, model: mujoco.MjModel, result: Mapping[str, 
         return row | {"right": result["verdict"] == "unnamed" and gap["after_rad"] < REDUCED * gap["before_rad"]}
     row["usual"] = all(is_usual(h, truth, model) for h in truth.effects)
     expected = [(library_name(h.name), true_targets(h, model)) for h in truth.effects]
-    found = [_found(name, targets, result) for name, targets in expected]
+    found = _found(expected, result)
     row["expected"] = [label(name, targets) for name, targets in expected]
     row["found"] = [how for how, _ in found]
     row["extra"] = [label(e["name"], e["targets"]) for e in result["effects"] if id(e) not in {id(by) for _, by in found}]
@@ -71,14 +71,21 @@ def closed(gap: Mapping[str, float]) -> float | None:
     return (gap["before_rad"] - gap["after_rad"]) / opened if opened > 0.0 else None
 
 
-def _found(name: str, targets: Sequence[str], result: Mapping[str, Any]) -> tuple[str, Any]:
-    for effect in result["effects"]:
-        if effect["name"] == name and set(effect["targets"]) == set(targets):
-            return "named", effect
-    for effect in result["effects"]:
-        if result["verdict"] == "cannot_tell" and label(name, targets) in effect["confusable_with"]:
-            return "told", effect
-    return "missed", None
+def _found(expected: Sequence[tuple[str, Sequence[str]]], result: Mapping[str, Any]) -> list[tuple[str, Any]]:
+    """How each hidden effect was found, and by which named one."""
+    out: list[tuple[str, Any]] = [("missed", None)] * len(expected)
+    left = list(result["effects"])
+    for number, (name, targets) in enumerate(expected):
+        own = next((e for e in left if e["name"] == name and set(e["targets"]) == set(targets)), None)
+        if own is not None:
+            out[number] = "named", own
+            left.remove(own)
+    for number, (name, targets) in enumerate(expected):
+        doubted = [e for e in left if result["verdict"] == "cannot_tell" and label(name, targets) in e["confusable_with"]]
+        if out[number][0] == "missed" and doubted:
+            out[number] = "told", doubted[0]
+            left.remove(doubted[0])
+    return out
 
 
 def _yardsticks(values: Mapping[str, float]) -> dict[str, tuple[float, float]]:

@@ -336,7 +336,7 @@ def on_steps(problem: Problem) -> str:
     if robot.step is None:
         return ""
     long, short = (f"{1e3 * float(step):.3g} ms" for step in (robot.published.model.opt.timestep, robot.step))
-    return f" Its steps of {long} are too long for such servos; all of this is with steps of {short}."
+    return f" Its steps of {long} are too long for this robot; all of this is with steps of {short}."
 
 
 def _on(targets: Sequence[str], joints: Sequence[str]) -> str:

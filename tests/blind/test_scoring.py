@@ -86,6 +86,16 @@ def test_a_confusable_name_counts_where_the_tool_says_that_it_cannot_tell() -> N
     assert row["right"] and row["found"] == ["told"] and not row["values"]
 
 
+def test_one_name_stands_for_one_hidden_effect() -> None:
+    both = Truth("pan_tilt", (*DELAY.effects, Hidden("actuator_lag", ("tilt",), {"time": 0.03})))
+    doubted = effect("actuator_delay", "tilt", ("actuator_lag[tilt]",))
+    row = scored([doubted], "cannot_tell", both, "pair")
+    assert row["found"] == ["named", "missed"] and not row["right"]
+    beside = effect("sensor_delay", "tilt", ("actuator_delay[tilt]",))
+    row = scored([effect("actuator_lag", "tilt", ("actuator_delay[tilt]",)), beside], "cannot_tell", both, "pair")
+    assert row["found"] == ["told", "named"] and row["right"]
+
+
 def test_a_value_outside_its_interval_and_more_than_a_tenth_off_is_wrong() -> None:
     assert not scored([effect("actuator_delay", "tilt", value=0.04)])["values"][0]["right"]
 
