@@ -49,7 +49,7 @@ def test_what_the_score_test_points_at_is_refitted_on_whole_motions_where_others
     monkeypatch.setattr(trials, "try_boldly", lambda problem, fit, errors, places, done: [_trial("spring", 0.4)])
     monkeypatch.setattr(trials, "refit", lambda problem, fit, errors, one: _trial(one.candidate.effect, 0.9))
     scored = [Scored(Candidate(name, ("tilt",)), {}, 0.5) for name in ("presliding", "spring", "payload", "coulomb")]
-    found = trials.try_best(None, None, np.zeros(4), scored)
+    found = trials.try_best(SimpleNamespace(settings=SimpleNamespace(threads=1)), None, np.zeros(4), scored)
     assert [(t.candidate.effect, t.closed) for t in found] == [("presliding", 0.9), ("payload", 0.9), ("spring", 0.4)]
 
 
@@ -88,7 +88,7 @@ def test_rivals_go_to_the_end_of_their_valleys_where_the_best_leaves_a_gap(
     monkeypatch.setattr(decide, "descend", lambda fit, fresh, iterations: fit)
     monkeypatch.setattr(decide, "polish", lambda fit: ended.append(fit.name) or replace(fit, rms=end))
     monkeypatch.setattr(decide, "judged", lambda problem, fit, errors, t: replace(t, fit=fit, closed=1.0 / fit.rms))
-    problem = SimpleNamespace(floor=1.0, settings=SimpleNamespace(gain=0.1))
+    problem = SimpleNamespace(floor=1.0, settings=SimpleNamespace(gain=0.1, threads=1))
     trials_ = [trial("delay", 0.8), trial("lag", 0.5), trial("spring", 0.3)]
     found = decide.settled(problem, np.zeros(4), trials_)
     assert ended == polished and len(found) == 3
@@ -107,7 +107,7 @@ def test_the_best_goes_on_where_half_way_there_it_is_not_sure_yet(monkeypatch: p
     monkeypatch.setattr(decide, "worth", lambda objective, residual: 1.0)
     monkeypatch.setattr(decide, "descend", lambda fit, fresh, iterations: replace(fit, rms=1.0))
     monkeypatch.setattr(decide, "judged", lambda problem, fit, errors, t: replace(t, fit=fit, closed=1.0, sure=True))
-    problem = SimpleNamespace(floor=1.0, settings=SimpleNamespace(gain=0.1))
+    problem = SimpleNamespace(floor=1.0, settings=SimpleNamespace(gain=0.1, threads=1))
     found = decide.settled(problem, np.zeros(4), [best, behind])
     assert [(t.candidate.effect, t.sure, t.closed) for t in found] == [("dead_zone", True, 1.0), ("lag", False, 0.35)]
 
