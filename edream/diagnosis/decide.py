@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from edream.catalog import load
 from edream.core.effect import Effect
-from edream.diagnosis.candidates import Candidate, placement
+from edream.diagnosis.candidates import Candidate, library, placement
 from edream.diagnosis.descent import Fit, begin, descend, polish
 from edream.diagnosis.left_out import bootstrap, is_brief, left_out_errors
 from edream.diagnosis.narrowing import narrowed
@@ -29,6 +29,7 @@ from edream.diagnosis.trials import (
     gone_on,
     judged,
     on_few,
+    placed_at,
     refitted,
     try_best,
     with_bold,
@@ -259,15 +260,19 @@ def with_confusable(
     trials: Sequence[Trial],
     done: Callable[[int], object] = lambda n: None,
 ) -> list[Trial]:
-    """The trials and those of the effects that the best one is known to be confused with, so that no twin goes unheard."""
+    """The trials and those of the effects that the best one is known to be confused with, so that no twin goes unheard.
+
+    Each is heard where the best one acts; where it can't act there, at the place that the score test likes best.
+    """
     best = next((t for t in trials if passes(problem, t)), None)
     if best is None:
         return list(trials)
     own = load("effects", best.candidate.effect, Effect)
-    every = {s.candidate.effect: load("effects", s.candidate.effect, Effect) for s in scored}
-    known = {name for name, effect in every.items() if name in own.confusable or own.name in effect.confusable}
-    tried = {t.candidate.effect for t in trials}
-    twins = {s.candidate.effect: s for s in reversed(scored) if s.candidate.effect in known and s.candidate.effect not in tried}
+    known = [one for one in library(problem) if one.name in own.confusable or own.name in one.confusable]
+    places = [*scored, *placed_at(problem, fit, best.candidate.targets, known)]
+    places.sort(key=lambda s: s.candidate.targets != best.candidate.targets)  # the score test's order otherwise
+    chosen = {s.candidate.effect: s for s in reversed(places) if s.candidate.effect in [one.name for one in known]}
+    twins = [s for s in chosen.values() if s.candidate not in [t.candidate for t in trials]]
     few, most = on_few(fit), 1.0 - (best.fit.rms / fit.rms) ** 2
 
     def heard(one: Scored) -> Trial | None:
@@ -276,7 +281,7 @@ def with_confusable(
         return judged(problem, gone_on(fit, begun), errors, one) if hopeful else None
 
     more = []
-    for trial in side_by_side(heard, list(twins.values()), problem.settings.threads):
+    for trial in side_by_side(heard, twins, problem.settings.threads):
         more += [trial] if trial is not None else []
         done(1)
     return sorted([*trials, *more], key=lambda t: -t.closed)

@@ -11,7 +11,7 @@ from edream.sim.rollout import rollout_each
 FOLDS = 5
 DRAWS = 4000
 FAR = 20.0  # floors of error: so large a gap that refits start from several places
-CLEAR = 4.0  # floors: enough for that where fitted numbers are not credible, for they have made up for what is missing
+CLEAR = 3.0  # floors on one joint: enough for that where fitted numbers are not credible, for they have made up for what is missing
 SMALL = 10  # numbers at most, with which that costs little
 BRIEF = 120.0  # s of motion, up to which trying is cheap
 LENGTHS = (1.0, 0.5, 0.2, 0.0)  # of a step
@@ -84,7 +84,8 @@ def far_off(problem: Problem, fit: Fit) -> bool:
     """Whether the gap is so large, or the fitted numbers so strange beside a clear one, that a linear test points anywhere."""
     if fit.rms > FAR * problem.floor:
         return True
-    return fit.rms > CLEAR * problem.floor and not credible(problem, fit.space.mapping(fit.values))
+    joints = np.sqrt((fit.residual.reshape(-1, len(problem.joints)) ** 2).mean(axis=0))
+    return joints.max() > CLEAR * problem.floor and not credible(problem, fit.space.mapping(fit.values))
 
 
 def is_small(fit: Fit) -> bool:

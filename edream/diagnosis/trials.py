@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
+from edream.core.effect import Effect
 from edream.core.parameters import targets_in
 from edream.diagnosis.candidates import Candidate, acted_on, library, placement, probes_of, rounds
 from edream.diagnosis.descent import Fit, begin, descend, stretches
@@ -116,9 +117,14 @@ def try_boldly(
     def roughly(one: Scored) -> tuple[Fit, Scored]:
         place = placement(problem, one.candidate)
         extended, absent = extend(brief, [place])
-        starts = bold_starts(problem, place, one, extended, absent)
-        best = starts[int(np.argmin([rms(r) for r in extended.residuals(np.array(starts))]))]
-        return descend(with_column(brief, extended, best), fresh_columns(brief, extended), 3), one
+        starts, plain = bold_starts(problem, place, one, extended, absent), beside_published(problem, place, extended, absent)
+        left = [rms(r) for r in extended.residuals(np.array([*starts, *plain]))]
+        near = int(np.argmin(left))
+        if near < len(starts):
+            return descend(with_column(brief, extended, starts[near]), fresh_columns(brief, extended), 3), one
+        # columns from the numbers that were fitted say little there
+        unit = extended.simulated.space.to_unit(plain[near - len(starts)])
+        return descend(begin(extended, np.clip(unit, 0.0, 1.0)), None, 3), one
 
     def wholly(found: tuple[Fit, Scored]) -> Trial:
         begun, one = found
@@ -159,7 +165,12 @@ def overlooked(problem: Problem, fit: Fit, scored: Sequence[Scored]) -> list[Sco
     """The effects that are not in `scored`, on the joint that is off most: fitted numbers that are far from true may hide them."""
     worst = problem.joints[int(np.argmax((fit.residual.reshape(-1, len(problem.joints)) ** 2).mean(axis=0)))]
     known = {s.candidate.effect for s in scored}
-    there = [c for one in rounds(problem, library(problem)) for c in one if c.targets == (worst,) and c.effect not in known]
+    return placed_at(problem, fit, (worst,), [effect for effect in library(problem) if effect.name not in known])
+
+
+def placed_at(problem: Problem, fit: Fit, targets: Sequence[str], effects: Sequence[Effect]) -> list[Scored]:
+    """Those of some effects that can act on these joints and do not yet, begun at their first probes."""
+    there = [c for one in rounds(problem, effects) for c in one if c.targets == tuple(targets)]
     fresh = [c for c in there if not acts_already(c, fit.objective.simulated.placements) and fits_beside(problem, fit, [c])]
     return [Scored(c, probes_of(problem, placement(problem, c))[0], 0.0) for c in fresh]
 
@@ -167,22 +178,21 @@ def overlooked(problem: Problem, fit: Fit, scored: Sequence[Scored]) -> list[Sco
 def bold_starts(
     problem: Problem, place: Placement, scored: Scored, extended: Objective, absent: Float[np.ndarray, "P"]
 ) -> list[Float[np.ndarray, "P"]]:
-    """Parameter sets: where the score test says, and strong versions; each also with little of the friction it may replace.
-
-    And every shape beside the published numbers, for those that were fitted may have gone far to make up for what is missing.
-    """
+    """Parameter sets: where the score test says, and strong versions; each also with little of the friction it may replace."""
     quantities = [scored.start, *strong_probes(problem, place)[:4]]
     starts = [with_quantities(extended, absent, [place], [one]) for one in quantities]
     names = extended.simulated.space.names
     friction = np.array([name.startswith("coulomb.") for name in names])
-    plain = beside_published(problem, place, extended, absent)
-    return [*starts, *(np.where(friction, 0.2 * start, start) for start in starts if friction.any()), *plain]
+    return [*starts, *(np.where(friction, 0.2 * start, start) for start in starts if friction.any())]
 
 
 def beside_published(
     problem: Problem, place: Placement, extended: Objective, absent: Float[np.ndarray, "P"]
 ) -> list[Float[np.ndarray, "P"]]:
-    """Every probe of a candidate, its joints' usual numbers as published; all joints', where it acts on none."""
+    """Every probe of a candidate, its joints' usual numbers as published; all joints', where it acts on none.
+
+    Those that were fitted without it may have gone far to make up for it.
+    """
     believed = as_published(problem, extended.simulated.space.names, absent, Candidate(place.effect.name, tuple(place.targets)))
     return [with_quantities(extended, believed, [place], [one]) for one in probes_of(problem, place)]
 

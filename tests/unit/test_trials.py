@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from edream.core.parameters import targets_in
-from edream.diagnosis import decide, trials, verdict
+from edream.diagnosis import decide, left_out, trials, verdict
 from edream.diagnosis.candidates import Candidate
 from edream.diagnosis.screen import Scored
 from edream.diagnosis.trials import Trial, with_bold
@@ -51,6 +51,46 @@ def test_what_the_score_test_points_at_is_refitted_on_whole_motions_where_others
     scored = [Scored(Candidate(name, ("tilt",)), {}, 0.5) for name in ("presliding", "spring", "payload", "coulomb")]
     found = trials.try_best(SimpleNamespace(settings=SimpleNamespace(threads=1)), None, np.zeros(4), scored)
     assert [(t.candidate.effect, t.closed) for t in found] == [("presliding", 0.9), ("payload", 0.9), ("spring", 0.4)]
+
+
+@pytest.mark.parametrize(("tried", "heard"), [("pan", ["tilt"]), ("tilt", [])])
+def test_what_the_best_one_is_confused_with_is_heard_where_that_one_acts(
+    monkeypatch: pytest.MonkeyPatch, tried: str, heard: list[str]
+) -> None:
+    """The score test liked another joint; what was tried there says nothing of this one."""
+    fit = SimpleNamespace(rms=2.0)
+    best = replace(_trial("torque_speed_limit", 0.9), fit=SimpleNamespace(rms=1.0))
+    drag = replace(_trial("quadratic_drag", 0.1), candidate=Candidate("quadratic_drag", (tried,)))
+    effects = [SimpleNamespace(name=name, confusable=()) for name in ("quadratic_drag", "payload")]
+    monkeypatch.setattr(decide, "library", lambda problem: effects)
+    monkeypatch.setattr(decide, "passes", lambda problem, t: t.closed > 0.5)
+    monkeypatch.setattr(decide, "on_few", lambda fit: fit)
+    monkeypatch.setattr(
+        decide, "placed_at", lambda problem, fit, targets, known: [Scored(Candidate(e.name, targets), {}, 0.0) for e in known]
+    )
+    monkeypatch.setattr(decide, "refitted", lambda problem, fit, one, iterations: SimpleNamespace(rms=1.0))
+    monkeypatch.setattr(decide, "gone_on", lambda fit, begun: begun)
+    monkeypatch.setattr(decide, "judged", lambda problem, fit, errors, one: replace(best, candidate=one.candidate, closed=0.8))
+    scored = [Scored(Candidate("quadratic_drag", ("pan",)), {}, 0.2), Scored(Candidate("payload", ("head",)), {}, 0.1)]
+    problem = SimpleNamespace(settings=SimpleNamespace(threads=1))
+    found = decide.with_confusable(problem, fit, np.zeros(4), scored, [best, drag])
+    assert [t.candidate.targets[0] for t in found if t not in (best, drag)] == heard
+    assert {t.candidate.effect for t in found} == {"torque_speed_limit", "quadratic_drag"}
+
+
+@pytest.mark.parametrize(
+    ("pan", "tilt", "sound", "far"),
+    [(0.4, 3.5, False, True), (0.4, 3.5, True, False), (2.5, 2.5, False, False), (25.0, 25.0, True, True)],
+)
+def test_one_joint_that_is_clearly_off_beside_incredible_numbers_is_far_off(
+    monkeypatch: pytest.MonkeyPatch, pan: float, tilt: float, sound: bool, far: bool
+) -> None:
+    monkeypatch.setattr(left_out, "credible", lambda problem, fitted: sound)
+    residual = np.tile([pan, tilt], 50)
+    fit = SimpleNamespace(
+        residual=residual, rms=float(np.sqrt((residual**2).mean())), values=None, space=SimpleNamespace(mapping=lambda values: {})
+    )
+    assert left_out.far_off(SimpleNamespace(floor=1.0, joints=("pan", "tilt")), fit) == far
 
 
 def test_what_does_not_stand_at_the_end_of_its_search_gives_way_to_the_next(monkeypatch: pytest.MonkeyPatch) -> None:
