@@ -83,6 +83,7 @@ class Effect(ABC):
         phase: the quantity that is a phase [rad], or None. Its probes then come in pairs, at phase 0 and at a quarter turn.
         of_position_servo: whether it acts on what a servo makes of a commanded position, and so not under torque or speed commands.
         special: a simpler effect that this one is where one of its quantities has a certain value: (effect, quantity, value).
+        finer: the same effect with one number more, about as published, that only some motions tell.
         mostly_positive: the quantity that is negative in few robots only, such as a mass that is missing, or None. Of two places
             that motions do not tell apart, one where it is positive is named first.
     """
@@ -100,6 +101,7 @@ class Effect(ABC):
     of_position_servo: bool = False
     special: tuple[str, str, float] | None = None
     mostly_positive: str | None = None
+    finer: "Effect | None" = None
 
     @abstractmethod
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:

@@ -5,14 +5,16 @@ from dataclasses import replace
 import numpy as np
 
 from edream.diagnosis.descent import Fit, begin, descend
-from edream.diagnosis.problem import CREDIBLE_FACTOR, Problem, nuisance_placements
+from edream.diagnosis.problem import CREDIBLE_FACTOR, VISIBLE, Problem, nuisance_placements
 from edream.sim.beginning import beginning
 from edream.sim.least_squares import worth
-from edream.sim.objective import Objective
+from edream.sim.objective import Objective, rms
 from edream.sim.polish import finish, polish_in_stages
+from edream.sim.servo import share_within_limit
 from edream.sim.simulation import SimulatedRobot
 
 NEAR, PASS, LAST = 12, 10, 4  # most steps on short pieces, on whole motions, joint by joint
+SHARE = 0.5  # standard deviations by which a share is moved to see whether motions tell it
 FAR = 4.0  # floors of error from which a valley with incredible numbers may be the wrong one
 
 
@@ -35,6 +37,31 @@ def fit_nuisance(problem: Problem) -> Fit:
     unit = believed.space.to_unit(first.values)
     started = Fit(again, unit, first.residual, _rescaled(first, believed), worth(again, first.residual))
     return descend(started, None, iterations=4, tolerance=0.003)
+
+
+def with_shares(problem: Problem, fit: Fit) -> tuple[Problem, Fit]:
+    """The problem and its fit, the servo's share of a joint's damping a number of its own wherever the motions tell it.
+
+    What the servo damps counts towards the limit of its torque, what the joint damps does not. Only motions that reach the limit
+    tell the two apart: there half the share's usual spread moves the robot by what can be seen.
+    """
+    if "viscous" not in problem.settings.nuisance:
+        return problem, fit
+    model, found = problem.robot.model, fit.space.mapping(fit.values)
+    limited = tuple(group for group in problem.groups if all(share_within_limit(model, joint) > 0.0 for joint in group))
+    wide = SimulatedRobot(problem.robot, nuisance_placements(replace(problem, shared=limited), found))
+    space, objective = wide.space, replace(fit.objective, simulated=wide, simulations=0)
+    shares = [p for p in space.parameters if p.name not in found]
+    sets = [[(found | {p.name: p.start - SHARE * p.spread}).get(q.name, q.start) for q in space.parameters] for p in shares]
+    away = objective.residuals(np.array(sets)) - fit.residual if shares else []
+    told = tuple(group for group, one in zip(limited, away, strict=True) if rms(one) > VISIBLE * problem.floor)
+    if not told:
+        return problem, fit
+    problem = replace(problem, shared=told)
+    simulated = SimulatedRobot(problem.robot, nuisance_placements(problem, found))
+    start = simulated.space.vector({p.name: p.start for p in simulated.space.parameters} | found)
+    near = begin(replace(fit.objective, simulated=simulated), simulated.space.to_unit(start))
+    return problem, descend(near, None, iterations=8)
 
 
 def calibrated(objective: Objective) -> Fit:

@@ -86,6 +86,7 @@ class Problem:
         proof: windows of the motions that are never fitted.
         counted: which joints' errors count, (J,).
         noise: standard deviation of each joint's measurement [rad], (J,).
+        shared: groups whose motions tell how much of the damping is the servo's, within its torque limit.
     """
 
     robot: RobotModel
@@ -95,6 +96,7 @@ class Problem:
     proof: tuple[Window, ...]
     counted: np.ndarray
     noise: Float[np.ndarray, "J"]
+    shared: tuple[tuple[str, ...], ...] = ()
 
     @property
     def noise_floor(self) -> float:
@@ -236,14 +238,15 @@ def nuisance_placements(problem: Problem, fitted: Mapping[str, float] | None = N
     """
     placements = []
     for name in problem.settings.nuisance:
-        effect = load("effects", name, Effect)
         for group in problem.groups:
+            effect = load("effects", name, Effect)
+            effect = effect.finer if effect.finer and group in problem.shared else effect
             bare = Placement(effect, group, scaled=scaling_of(problem, name))
             bounds = {}
             for short, full in _names(bare, problem):
                 known = dict(problem.settings.limits.get(f"{name}.{short}", {}))
                 parameter = next(p for p in effect.parameters(problem.robot.model, group) if p.name == short)
-                bounds[short] = known | _prior(replace(parameter, **known), None if fitted is None else fitted[full])
+                bounds[short] = known | _prior(replace(parameter, **known), None if fitted is None else fitted.get(full))
             placements.append(Placement(effect, group, scaled=bare.scaled, bounds=bounds))
     return tuple(placements)
 

@@ -11,12 +11,13 @@ from edream.diagnosis.descent import Fit, begin, cost, descend, polish
 from edream.diagnosis.left_out import left_out_errors
 from edream.diagnosis.problem import Problem, nuisance_placements
 from edream.diagnosis.screen import screen
-from edream.diagnosis.trials import refit
+from edream.diagnosis.trials import judged, refit
 from edream.sim.simulation import SimulatedRobot
 
 EVIDENCE = 4.0  # by how much the cost (-2 log posterior) must fall
 HOMEWARD = 0.5  # share of the strangeness that a suspect must explain
 REFITTED = 4
+PROMISING, PATIENTLY = 0.5, 8  # of the largest relief, from which suspects are fitted on, for so many steps
 AS_GOOD = 1.03  # times the error without it
 TIGHTER = (0.5, 0.3)  # times the usual width of what is believed
 AS_WELL_MET = 1.003  # times the error of the fit that is free to leave the published numbers
@@ -56,15 +57,24 @@ def find_suspects(
     if strange < EVIDENCE:
         return []
     errors = left_out_errors(problem, fit)
-    found = []
+    trials = []
     for one in screen(problem, believing, done)[:REFITTED]:
-        trial = refit(problem, believing, errors, one)
-        relief = cost(replace(believing, scale=trial.fit.scale)) - cost(trial.fit)
-        home = strange - strangeness(trial.fit, strange_names)
+        trials.append(refit(problem, believing, errors, one))
         done(1)
+    most = max((relief_by(believing, trial.fit) for trial in trials), default=0.0)
+    found = []
+    for trial in trials:
+        if relief_by(believing, trial.fit) >= PROMISING * most:  # numbers go home slowly, along a flat valley
+            trial = judged(problem, descend(trial.fit, None, PATIENTLY), errors, trial)
+        relief, home = relief_by(believing, trial.fit), strange - strangeness(trial.fit, strange_names)
         if relief > EVIDENCE and home > HOMEWARD * strange and np.sqrt(trial.errors.mean()) < AS_GOOD * np.sqrt(errors.mean()):
-            found.append(Suspect(one.candidate, trial.fit, relief))
+            found.append(Suspect(trial.candidate, trial.fit, relief))
     return sorted(found, key=lambda s: -s.relief)
+
+
+def relief_by(believing: Fit, fit: Fit) -> float:
+    """By how much a fit with one effect more costs less than the one without it."""
+    return cost(replace(believing, scale=fit.scale)) - cost(fit)
 
 
 def most_ordinary(problem: Problem, fit: Fit) -> Fit:
@@ -114,13 +124,16 @@ def believe_published(problem: Problem, fit: Fit, share: float | None = None) ->
             would have it), so that it does not take others along; None for the usual ones.
     """
     bare = SimulatedRobot(problem.robot, nuisance_placements(problem))
-    published = {p.name: 0.0 if p.guessed else p.start for p in bare.space.parameters}
+    without_prior = [p for p in bare.space.parameters if not (p.guessed and np.isfinite(p.spread))]
+    published = {p.name: 0.0 if p.guessed else p.start for p in without_prior}
     found, scales = fit.space.mapping(fit.values), {p.name: p.scale for p in bare.space.parameters}
     placements = []
     for place in nuisance_placements(problem, published):
         bounds = {}
         for quantity, known in (place.bounds or {}).items():
             name = place.full_name(quantity)
+            if name not in published:
+                continue
             if published[name] <= 0.0:
                 bounds[quantity] = {"start": known["start"]}
                 continue

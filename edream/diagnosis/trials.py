@@ -72,8 +72,9 @@ def try_best(
     if far_off(problem, fit) and is_small(fit):
         places = [*{s.candidate.effect: s for s in reversed(scored)}.values(), *overlooked(problem, fit, scored)]
         bold = try_boldly(problem, fit, errors, places, done)
-        # short stretches forget how friction was bent before them: what the score test points at is refitted on whole motions, too
-        lost = [s for s in scored[:LIKELIEST] if s.candidate not in [t.candidate for t in bold]]
+        # short stretches forget what was before them (friction that is bent, an integral): the likeliest go over whole motions, too
+        likely = {s.candidate: s for s in (*scored[:LIKELIEST], *nearer_beside_published(problem, fit, places))}
+        lost = [s for c, s in likely.items() if c not in [t.candidate for t in bold]]
         more = side_by_side(lambda one: refit(problem, fit, errors, one), lost, problem.settings.threads)
         return sorted([*bold, *more], key=lambda t: -t.closed)
     serious = [s for s in scored if s.share >= SERIOUS_SHARE]
@@ -144,6 +145,17 @@ def try_boldly(
         trials.append(trial)
         done(1)
     return sorted(trials, key=lambda t: -t.closed)
+
+
+def nearer_beside_published(problem: Problem, fit: Fit, places: Sequence[Scored]) -> list[Scored]:
+    """The candidates that are nearer to the motions than the fit is, small beside the published numbers; nearest first."""
+    found = []
+    for one in places:
+        place = placement(problem, one.candidate)
+        extended, absent = extend(fit, [place])
+        residuals = extended.residuals(np.array(beside_published(problem, place, extended, absent)))
+        found.append((min(rms(r) for r in residuals), one))
+    return [one for away, one in sorted(found, key=lambda pair: pair[0]) if away < fit.rms][:LIKELIEST]
 
 
 def with_bold(

@@ -14,7 +14,7 @@ from edream.diagnosis.candidates import Candidate, placement
 from edream.diagnosis.decide import ALIKE, REAL_GAP, Round, backward, forward, rivals
 from edream.diagnosis.descent import Fit, polish
 from edream.diagnosis.left_out import bootstrap, left_out_errors, proof_errors
-from edream.diagnosis.nuisance import fit_nuisance, published
+from edream.diagnosis.nuisance import fit_nuisance, published, with_shares
 from edream.diagnosis.problem import Problem, nuisance_placements
 from edream.diagnosis.remainder import Remainder, find_remainder
 from edream.diagnosis.steps import in_continuous_time
@@ -98,7 +98,7 @@ def diagnose(problem: Problem, done: Callable[[str, int], object] = lambda text,
     plain = published(problem)
     start = Fit(plain, np.zeros(0), np.zeros(0), np.zeros((0, 0)), 1.0)
     ladder = [("published", np.sqrt(proof_errors(problem, start)))]
-    before = fit_nuisance(problem)
+    problem, before = with_shares(problem, fit_nuisance(problem))
     done("nuisance", 1)
     problem, fit, rounds = forward(problem, before, done)
     before = rounds[0].before
@@ -222,7 +222,7 @@ def strange_numbers(problem: Problem, fit: Fit) -> list[Named]:
         if place.effect.name not in problem.settings.nuisance:
             continue
         values, intervals, units = numbers_of(problem, fit, Candidate(place.effect.name, place.targets))
-        for parameter in place.effect.parameters(problem.robot.model, place.targets):
+        for parameter in load("effects", place.effect.name, Effect).parameters(problem.robot.model, place.targets):
             usual = 1.0
             if place.effect.name == "servo_gain" and parameter.start > 0.0:
                 gains[place.targets] = values[parameter.name] / parameter.start

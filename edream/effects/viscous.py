@@ -1,6 +1,7 @@
 """Resistance proportional to speed."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -8,7 +9,7 @@ import numpy as np
 from edream.core.effect import Effect, Fields, Values, joint_index
 from edream.core.parameters import Parameter
 from edream.sim.scales import BANDWIDTH, largest, position_gain
-from edream.sim.servo import merge_damping
+from edream.sim.servo import damping_inside, merge_damping, share_damping
 
 
 class Viscous(Effect):
@@ -43,4 +44,19 @@ class Viscous(Effect):
         merge_damping(fields, target, values["damping"])
 
 
+class SharedViscous(Viscous):
+    """The same, and how much of it is the servo's: within its torque limit, which motions that reach the limit tell.
+
+    Parameters: damping b; inside: the servo's share of it [1], about as published.
+    """
+
+    def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
+        return (*super().parameters(model, targets), replace(damping_inside(model, targets), guessed=True))
+
+    def write(self, fields: Fields, target: str, values: Values) -> None:
+        super().write(fields, target, values)
+        share_damping(fields, target, values["inside"])
+
+
 ENTRY = Viscous()
+ENTRY.finer = SharedViscous()

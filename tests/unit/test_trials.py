@@ -48,9 +48,12 @@ def test_what_the_score_test_points_at_is_refitted_on_whole_motions_where_others
     monkeypatch.setattr(trials, "overlooked", lambda problem, fit, scored: [])
     monkeypatch.setattr(trials, "try_boldly", lambda problem, fit, errors, places, done: [_trial("spring", 0.4)])
     monkeypatch.setattr(trials, "refit", lambda problem, fit, errors, one: _trial(one.candidate.effect, 0.9))
+    near = [Scored(Candidate("integral_action", ("tilt",)), {}, 0.0)]
+    monkeypatch.setattr(trials, "nearer_beside_published", lambda problem, fit, places: near)
     scored = [Scored(Candidate(name, ("tilt",)), {}, 0.5) for name in ("presliding", "spring", "payload", "coulomb")]
     found = trials.try_best(SimpleNamespace(settings=SimpleNamespace(threads=1)), None, np.zeros(4), scored)
-    assert [(t.candidate.effect, t.closed) for t in found] == [("presliding", 0.9), ("payload", 0.9), ("spring", 0.4)]
+    assert [t.candidate.effect for t in found] == ["presliding", "payload", "integral_action", "spring"]
+    assert [t.closed for t in found] == [0.9, 0.9, 0.9, 0.4]
 
 
 @pytest.mark.parametrize(("tried", "heard"), [("pan", ["tilt"]), ("tilt", [])])
@@ -172,6 +175,7 @@ def test_strange_numbers_are_an_answer_only_where_nothing_is_left(
     for name, value in {
         "published": lambda problem: None,
         "fit_nuisance": lambda problem: FitOf("usual", 1.0),
+        "with_shares": lambda problem, fit: (problem, fit),
         "proof_errors": lambda problem, fit: errors,
         "forward": lambda problem, fit, done: (problem, fit, [nothing]),
         "backward": lambda problem, fit, candidates: (fit, []),
