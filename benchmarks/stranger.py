@@ -2,10 +2,10 @@
 
 python benchmarks/stranger.py MODEL.xml OUT [--effect spring:joint2:20,0.3] [--seed 7] [--friction 2] [--armature 0.1]
 
-The world shares nothing with edream: MuJoCo moves the rigid bodies at a quarter of a millisecond; servo, dry friction (a stiff
-bristle that slips) and the hidden effect are torques written here. Gains, dampings, frictions and rotors are up to 30 % off what
-the model or the command line says. Motions keep clear of everything that the model could touch. OUT gets one CSV a motion, and
-`OUT.truth.txt` stands beside it.
+The world shares nothing with edream: MuJoCo moves the rigid bodies at a quarter of a millisecond; servo (within the torque that the
+model allows it), dry friction (a stiff bristle that slips) and the hidden effect are torques written here. Gains, dampings,
+frictions and rotors are up to 30 % off what the model or the command line says. Motions keep clear of everything that the model
+could touch. OUT gets one CSV a motion, and `OUT.truth.txt` stands beside it.
 """
 
 import argparse
@@ -30,6 +30,20 @@ EFFECTS = {
     "offset": "of the encoder [rad]",
     "fade": "share of the servo's torque lost a second",
     "payload": "mass [kg], at the centre of the joint's link",
+    "lag": "time constant of the command's filter [s]",
+    "slew": "the command's largest speed [rad/s]",
+    "deadzone": "error that the servo does not answer [rad]",
+    "integral": "gain of the error's integral [N m/(rad s)]",
+    "torque": "constant [N m]",
+    "tilt": "of the base about x, then y [rad], whatever the joint",
+    "asymmetry": "dry friction more forwards than backwards [N m]",
+    "place": "dry friction [N m] more around an angle [rad], within a width [rad]",
+    "coupling": "torque per angle of the joint before [N m/rad]",
+    # what no library of effects is likely to have
+    "stop": "a soft stop of a stiffness [N m/rad] beyond an angle [rad]",
+    "hum": "torque [N m] at a frequency [Hz]",
+    "weak": "share of the servo's gain that is missing around an angle [rad], within a width [rad]",
+    "sticky": "dry friction [N m] more after a second at rest",
 }
 
 
@@ -89,6 +103,10 @@ class World:
         def off(nominal: np.ndarray) -> np.ndarray:
             return nominal * np.exp(rng.uniform(-0.3, 0.3, len(joints)))
 
+        self.limit = np.full(len(joints), np.inf)
+        of_joints = model.jnt_actfrcrange[joints], model.jnt_actfrclimited[joints]
+        for ranges, given in ((model.actuator_forcerange, model.actuator_forcelimited), of_joints):
+            self.limit = np.where(given.astype(bool), np.minimum(self.limit, ranges[:, 1]), self.limit)
         self.kp = off(-model.actuator_biasprm[:, 1])
         own = -model.actuator_biasprm[:, 2]
         self.kd = off(np.where(own > 0.0, own, 0.04 * self.kp) + model.dof_damping[self.dof])
@@ -104,6 +122,12 @@ class World:
         if self.effect == "payload":
             model.body_mass[model.jnt_bodyid[joints[self.at]]] += self.numbers[0]
             mujoco.mj_setConst(model, mujoco.MjData(model))
+        if self.effect == "tilt":
+            turn = np.zeros(4)
+            mujoco.mju_euler2Quat(turn, np.array([*self.numbers, 0.0]), "xyz")
+            mujoco.mju_rotVecQuat(model.opt.gravity, model.opt.gravity.copy(), turn)
+        # how the hidden effect remembers: the command as the servo has it, the error's integral, how long the joint has rested
+        self.told, self.sum, self.rested = 0.0, 0.0, 0.0
 
     def truth(self) -> str:
         """What is true, in words."""
@@ -120,12 +144,14 @@ class World:
         hold, settle = round(1.0 / rate / STEP), round(2.0 / STEP)
         late = round(self.numbers[0] / STEP) if self.effect == "delay" else 0
         bristle, rows = np.zeros(len(self.names)), []
+        self.told, self.sum, self.rested = float(command[0][self.at]), 0.0, 0.0
         for k in range(-settle, len(command) * hold):
             if k >= 0 and k % hold == 0:
                 rows.append(data.qpos[self.qpos].copy())
-            told = command[max(k - late, 0) // hold]
             q, v = data.qpos[self.qpos], data.qvel[self.dof]
-            torque, slip = self._hidden(self.kp * (told - q) - self.kd * v, q, v, max(k, 0) * STEP)
+            error = self._commanded(command[max(k - late, 0) // hold]) - q
+            torque = np.clip(self._served(error, v), -self.limit, self.limit)
+            torque, slip = self._hidden(torque, q, v, max(k, 0) * STEP)
             stiffness = self.slip / SLIP
             bristle = np.clip(bristle + v * STEP, -slip / stiffness, slip / stiffness)
             stuck = np.abs(bristle) < 0.999 * slip / stiffness
@@ -138,6 +164,28 @@ class World:
             shown[:, self.at] += self.numbers[0]
         return shown
 
+    def _commanded(self, command: np.ndarray) -> np.ndarray:
+        """The command as the servos have it."""
+        told, x = command.copy(), self.numbers
+        if self.effect == "lag":
+            self.told += (command[self.at] - self.told) * STEP / x[0]
+        elif self.effect == "slew":
+            self.told += np.clip(command[self.at] - self.told, -x[0] * STEP, x[0] * STEP)
+        if self.effect in ("lag", "slew"):
+            told[self.at] = self.told
+        return told
+
+    def _served(self, error: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """What the servos make of an error, before their limits."""
+        error, j, x = error.copy(), self.at, self.numbers
+        if self.effect == "deadzone":
+            error[j] -= np.clip(error[j], -x[0], x[0])
+        torque = self.kp * error - self.kd * v
+        if self.effect == "integral":
+            self.sum = float(np.clip(self.sum + error[j] * STEP, -1.0, 1.0))
+            torque[j] += x[0] * self.sum
+        return torque
+
     def _hidden(self, torque: np.ndarray, q: np.ndarray, v: np.ndarray, time: float) -> tuple[np.ndarray, np.ndarray]:
         """The servo's torque and the friction's limit with what is hidden."""
         j, x, slip = self.at, self.numbers, self.slip.copy()
@@ -147,11 +195,23 @@ class World:
             "cogging": lambda: -x[0] * np.sin(x[1] * q[j]),
             "saturation": lambda: np.clip(torque[j], -x[0], x[0]) - torque[j],
             "fade": lambda: -torque[j] * x[0] * time,
+            "torque": lambda: x[0],
+            "coupling": lambda: -x[0] * q[j - 1],
+            "stop": lambda: -x[0] * max(0.0, q[j] - x[1]),
+            "hum": lambda: x[0] * np.sin(2.0 * np.pi * x[1] * time),
+            "weak": lambda: -torque[j] * x[0] * np.exp(-(((q[j] - x[1]) / x[2]) ** 2)),
         }
         if self.effect == "stribeck":
             slip[j] += x[0] * np.exp(-((v[j] / x[1]) ** 2))
         elif self.effect == "load":
             slip[j] += x[0] * abs(torque[j])
+        elif self.effect == "asymmetry":
+            slip[j] += x[0] / 2.0 if v[j] > 0.0 else -x[0] / 2.0
+        elif self.effect == "place":
+            slip[j] += x[0] * np.exp(-(((q[j] - x[1]) / x[2]) ** 2))
+        elif self.effect == "sticky":
+            self.rested = np.clip(self.rested + (STEP if abs(v[j]) < 0.02 else -5.0 * STEP), 0.0, 1.0)
+            slip[j] += x[0] * self.rested
         elif self.effect in act:
             torque[j] += act[self.effect]()
         return torque, slip
