@@ -47,6 +47,7 @@ def add_rotor(spec: mujoco.MjSpec, joint: str) -> mujoco.MjsTendon:
     rotor.frictionloss, link.frictionloss = link.frictionloss, 0.0
     rotor.solref_friction, rotor.solimp_friction = link.solref_friction, link.solimp_friction
     hold_still(spec, joint)
+    keep_range(spec, servo(spec, joint))
     servo(spec, joint).target = motor
     for key in list(spec.keys):
         spec.delete(key)
@@ -58,6 +59,14 @@ def add_rotor(spec: mujoco.MjSpec, joint: str) -> mujoco.MjsTendon:
     lock.solref = [2.0 * spec.option.timestep, 1.0]
     lock.solimp = [RIGID, RIGID, 0.001, 0.5, 2.0]
     return tendon
+
+
+def keep_range(spec: mujoco.MjSpec, actuator: Any) -> None:
+    """Write down the range of commands that an actuator takes over from its joint (`inheritrange`): a rotor has none to give."""
+    if actuator.inheritrange > 0.0:
+        number = [one.target for one in spec.actuators].index(actuator.target)
+        actuator.ctrlrange, actuator.inheritrange = spec.copy().compile().actuator_ctrlrange[number], 0.0
+        actuator.ctrllimited = mujoco.mjtLimited.mjLIMITED_TRUE
 
 
 def drive_joint(spec: mujoco.MjSpec, joint: str) -> str:

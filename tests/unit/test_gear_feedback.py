@@ -1,5 +1,6 @@
 """Where a servo's encoder sits decides what a gear that gives costs."""
 
+import re
 from functools import cache
 from pathlib import Path
 
@@ -72,3 +73,18 @@ def test_a_replay_that_begins_at_rest_begins_with_its_gears_under_load(
     rest = settled(effect, **everything)
     assert abs(rest - HELD) > 5e-3
     assert np.abs(held(effect, rest, **everything) - rest).max() < 2e-4
+
+
+@pytest.mark.parametrize("effect", ["backlash", "compliance"])
+def test_a_servo_that_takes_its_range_from_its_joint_keeps_it_behind_a_gear(tmp_path: Path, effect: str) -> None:
+    """`inheritrange`, as many published models have it: MuJoCo cannot compile it on a rotor, which has no range."""
+    text = head().mjcf
+    inherited = re.sub(r'ctrlrange="[^"]*"', 'inheritrange="0.9"', text)
+    assert inherited.count("inheritrange") == 2
+    path = tmp_path / "inherits.xml"
+    path.write_text(inherited)
+    robot = load_robot(path, site="ee")
+    placements = [Placement(catalog.load("effects", effect, Effect), (joint,)) for joint in robot.joints]
+    model = SimulatedRobot(robot, tuple(placements)).model
+    assert np.allclose(model.actuator_ctrlrange, robot.model.actuator_ctrlrange)
+    assert robot.model.actuator_ctrllimited.all() and model.actuator_ctrllimited.all()
