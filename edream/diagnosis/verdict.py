@@ -18,12 +18,11 @@ from edream.diagnosis.nuisance import fit_nuisance, published, with_shares
 from edream.diagnosis.problem import Problem, nuisance_placements
 from edream.diagnosis.remainder import Remainder, find_remainder
 from edream.diagnosis.steps import in_continuous_time
-from edream.diagnosis.suspects import Suspect, find_suspects, most_ordinary
+from edream.diagnosis.suspects import ORDINARY, Suspect, find_suspects, most_ordinary
 from edream.diagnosis.trials import Trial
 from edream.sim.objective import rms
 from edream.sim.simulation import unit_at
 
-STRANGE = (0.68, 1.35)  # times its published value: a nuisance number below or above is an effect itself, 30 % off is usual
 CLOSED = 0.9  # share of the gap, in root-mean-square error, from which what is left is not worth a formula
 ENOUGH = 0.5  # share of the squared gap that named effects must close, or what is left has no name
 AS_GOOD = 1.1  # times the error of names and a formula that a formula alone may have and be preferred
@@ -243,7 +242,7 @@ def is_strange(parameter: Parameter, interval: tuple[float, float], usual: float
         return False
     yardstick = 0.02 * (parameter.high - parameter.low) if parameter.scale == "linear" else 0.0
     low, high = min(1.0, usual) * parameter.start, max(1.0, usual) * parameter.start
-    return interval[0] > STRANGE[1] * high + yardstick or interval[1] < STRANGE[0] * low - yardstick
+    return interval[0] > ORDINARY[1] * high + yardstick or interval[1] < ORDINARY[0] * low - yardstick
 
 
 def with_suspects(problem: Problem, numbers: list[Named], suspects: Sequence[Suspect]) -> list[Named]:

@@ -7,10 +7,10 @@ import pytest
 
 from benchmarks.blind.cases import robot_of
 from edream.core.episode import Episode
-from edream.diagnosis.descent import polish
+from edream.diagnosis.descent import begin, polish
 from edream.diagnosis.nuisance import fit_nuisance
 from edream.diagnosis.problem import Settings, prepare
-from edream.diagnosis.suspects import AS_WELL_MET, FLOOR_KNOWN, brought_home, most_ordinary
+from edream.diagnosis.suspects import AS_WELL_MET, FLOOR_KNOWN, ORDINARY, brought_home, most_ordinary, with_ordinary_numbers
 from edream.diagnosis.verdict import off_nominal, strange_numbers
 from edream.reality.recorder import Recorder, make_recordings
 from edream.reality.truth import draw
@@ -46,3 +46,26 @@ def test_a_factor_that_a_whole_joint_is_off_by_goes_and_one_strange_number_stays
     for name, value in home.space.mapping(home.values).items():
         factor = 2.0 if name in off and "armature" in name else 1.0
         assert value == pytest.approx(factor * published[name], rel=1e-6), name
+
+
+def test_numbers_that_are_ordinary_one_and_all_are_preferred_where_they_cost_nothing() -> None:
+    """Nothing loads the pan: a gain 20 % too low and a damping 30 % too high pass for a usual gain and a strange damping."""
+    robot = robot_of("pan_tilt")
+    assert robot is not None
+    truth = draw(robot, [], np.random.default_rng(3), 0.3, ("pan",))
+    truth = replace(truth, nuisance={name: dict(each) for name, each in truth.nuisance.items()})
+    truth.nuisance["kp"]["pan"], truth.nuisance["kd"]["pan"], truth.nuisance["damping"]["pan"] = 0.8 * 20.0, 1.3 * 0.5, 1.3 * 0.12
+    made = make_recordings(robot, truth, 3, 6, 5.0, Recorder())
+    episodes = [Episode(r.name, robot.joints, r.times, r.position, r.command_times, r.command) for r in made]
+    problem = prepare(robot, episodes, Settings())
+    fit = fit_nuisance(problem)
+    values = [value * (1.3 if name.endswith("[pan]") else 1.0) for name, value in fit.space.mapping(fit.values).items()]
+    along = begin(fit.objective, fit.space.to_unit(np.array(values)))  # up the valley
+    assert any(one.name == "viscous" for one in strange_numbers(problem, along)), "it must look strange there"
+    home = with_ordinary_numbers(problem, along)
+    assert home.rms <= along.rms
+    found = home.space.mapping(home.values)
+    for name, published in {"servo_gain.kp[pan]": 20.0, "viscous.damping[pan]": 0.62}.items():
+        assert ORDINARY[0] * published * (1 - 1e-6) <= found[name] <= ORDINARY[1] * published * (1 + 1e-6)
+    assert most_ordinary(problem, along).rms <= along.rms * AS_WELL_MET
+    assert not strange_numbers(problem, most_ordinary(problem, along))
