@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from edream.catalog import load
 from edream.core.effect import Effect
-from edream.diagnosis.candidates import Candidate, library, placement
+from edream.diagnosis.candidates import Candidate, acted_on, library, placement
 from edream.diagnosis.descent import Fit, begin, descend, polish
 from edream.diagnosis.left_out import bootstrap, is_brief, left_out_errors
 from edream.diagnosis.narrowing import narrowed
@@ -276,9 +276,10 @@ def with_confusable(
     few, most = on_few(fit), 1.0 - (best.fit.rms / fit.rms) ** 2
 
     def heard(one: Scored) -> Trial | None:
-        begun = refitted(problem, few, one, iterations=2)
+        joints = acted_on(one.candidate)
+        begun = refitted(problem, few, one, iterations=3, joints=joints)
         hopeful = 1.0 - (begun.rms / few.rms) ** 2 >= HOPELESS * most
-        return judged(problem, gone_on(fit, begun), errors, one) if hopeful else None
+        return judged(problem, gone_on(fit, begun, joints), errors, one) if hopeful else None
 
     more = []
     for trial in side_by_side(heard, twins, problem.settings.threads):

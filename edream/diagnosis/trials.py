@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from edream.core.effect import Effect
 from edream.core.parameters import targets_in
@@ -83,7 +83,7 @@ def try_best(
     few, threads = on_few(fit), problem.settings.threads
     tried = [*serious[:REFITTED], *(s for s in groups if s not in serious[:REFITTED])]
     begun = []
-    for near, one in zip(side_by_side(lambda one: refitted(problem, few, one, iterations=2), tried, threads), tried, strict=True):
+    for near, one in zip(side_by_side(lambda one: first_steps(problem, few, one), tried, threads), tried, strict=True):
         begun.append((near, one))
         done(1)
     begun.sort(key=lambda pair: pair[0].rms)
@@ -93,17 +93,25 @@ def try_best(
     return sorted(trials, key=lambda t: -t.closed)
 
 
+def first_steps(problem: Problem, few: Fit, scored: Scored) -> Fit:
+    """A candidate two steps from where the score test puts it, its joints' usual numbers with it."""
+    return refitted(problem, few, scored, 2, acted_on(scored.candidate))
+
+
 def on_few(fit: Fit) -> Fit:
     """The fit on as much motion as shows which candidates are worth a search; on all of it, where that costs little."""
     return fit if is_small(fit) else thinned(fit, ENOUGH)
 
 
-def gone_on(fit: Fit, near: Fit) -> Fit:
-    """A candidate's first steps beside `fit` taken on, on all of its motions; they may have been taken on a few."""
-    own = fresh_columns(fit, near.objective)
+def gone_on(fit: Fit, near: Fit, joints: frozenset[str] = frozenset()) -> Fit:
+    """A candidate's first steps beside `fit` taken on, on all of its motions; they may have been taken on a few.
+
+    The usual numbers of `joints` are differenced with the candidate's own.
+    """
+    own = fresh_columns(fit, near.objective) | of_joints(near.objective, joints)
     if len(near.residual) < len(fit.residual):
         whole = replace(fit.objective, simulated=near.objective.simulated, simulations=0)
-        near = with_column(fit, whole, near.values)
+        near = with_column(fit, whole, near.values, own)
     return descend(near, own, iterations=4)
 
 
@@ -224,10 +232,12 @@ def refit(problem: Problem, fit: Fit, errors: Float[np.ndarray, "M"], scored: Sc
     return judged(problem, refitted(problem, fit, scored, iterations=6), errors, scored)
 
 
-def refitted(problem: Problem, fit: Fit, scored: Scored, iterations: int) -> Fit:
+def refitted(problem: Problem, fit: Fit, scored: Scored, iterations: int, joints: frozenset[str] = frozenset()) -> Fit:
     """The model with one candidate, some steps from where the score test puts it, in whichever of its shapes promises most.
 
-    From far off it begins beside the published numbers, where that is nearer than beside those that were fitted without it.
+    From far off it begins beside the published numbers, where that is nearer than beside those that were fitted without it. What
+    the usual numbers do is taken from the fit without it, and followed by Broyden's update, but for those of `joints`, which are
+    differenced with it: beside a lag, inertia and damping do something else.
     """
     place = placement(problem, scored.candidate)
     extended, absent = extend(fit, [place])
@@ -239,7 +249,8 @@ def refitted(problem: Problem, fit: Fit, scored: Scored, iterations: int) -> Fit
         if min(away) < away[0]:
             near = extended.simulated.space.to_unit(plain[int(np.argmin(away)) - 1])
             return descend(begin(extended, np.clip(near, 0.0, 1.0)), None, iterations)
-    return descend(with_column(fit, extended, starts[best]), fresh_columns(fit, extended), iterations)
+    fresh = fresh_columns(fit, extended) | of_joints(extended, joints)
+    return descend(with_column(fit, extended, starts[best], fresh), fresh, iterations)
 
 
 def shapes(problem: Problem, place: Placement, start: Mapping[str, float]) -> list[dict[str, float]]:
@@ -289,18 +300,25 @@ def judged(problem: Problem, fit: Fit, errors: Float[np.ndarray, "M"], scored: S
     return Trial(scored.candidate, scored.share, fit, left, float(gain.mean()) / gap, low > 0.0)
 
 
-def with_column(fit: Fit, extended: Objective, start: Float[np.ndarray, "P"]) -> Fit:
-    """The fit at a larger model's starting point: nuisance columns are kept, the candidate's are differenced."""
+def with_column(fit: Fit, extended: Objective, start: Float[np.ndarray, "P"], fresh: Bool[np.ndarray, "P"] | None = None) -> Fit:
+    """The fit at a larger model's starting point: columns in `fresh`, the candidate's at least, are differenced, others kept."""
     space = extended.simulated.space
     unit = np.clip(space.to_unit(start), 0.0, 1.0)
-    new = np.flatnonzero(fresh_columns(fit, extended))
+    new = np.flatnonzero(fresh_columns(fit, extended) if fresh is None else fresh)
     steps = np.where(unit + STEP <= 1.0, STEP, -STEP)
     residuals = extended.residuals(space.from_unit(np.vstack([unit, unit + np.diag(steps)[new]])))
-    columns = ((residuals[1:] - residuals[0]) / steps[new, None]).T
-    return Fit(extended, unit, residuals[0], np.hstack([fit.jacobian, columns]), worth(extended, residuals[0]))
+    slope = np.hstack([fit.jacobian, np.zeros((len(residuals[0]), len(unit) - len(fit.unit)))])
+    slope[:, new] = ((residuals[1:] - residuals[0]) / steps[new, None]).T
+    return Fit(extended, unit, residuals[0], slope, worth(extended, residuals[0]))
 
 
-def fresh_columns(fit: Fit, extended: Objective) -> np.ndarray:
+def of_joints(objective: Objective, joints: frozenset[str]) -> Bool[np.ndarray, "P"]:
+    """Which parameters act on some of these joints."""
+    return np.array([not joints.isdisjoint(targets_in(name)) for name in objective.simulated.space.names])
+
+
+def fresh_columns(fit: Fit, extended: Objective) -> Bool[np.ndarray, "P"]:
+    """Which parameters a larger model has more than the fit's."""
     return np.arange(len(extended.simulated.space)) >= len(fit.unit)
 
 
