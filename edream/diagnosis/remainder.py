@@ -32,33 +32,43 @@ FEATURES = (
     "constant",
     "angle",
     "speed",
+    "speed_size",
     "drag",
     "direction",
     "direction_angle",
     "load",
     "direction_load",
+    "speed_load",
     "error",
+    "error_drag",
+    "error_angle",
     "time",
     "direction_time",
 )
-RECENT = (2.0, 10.0)  # s, over which a joint's speed may be remembered: what warms up, or settles
+BUMPED = ("bump", "direction_bump", "speed_bump", "error_bump")
+RECENT = (0.5, 2.0, 10.0)  # s, over which a joint's speed may be remembered: what warms up, or settles
 
 
 def residual_torque(state: State, index: dict[str, int], values: Mapping[str, Any]) -> None:
     """A torque that no named effect explains, as a sum of simple terms."""
     q, v = state.qpos[:, index["qpos"]], state.qvel[:, index["dof"]]
     load = state.qfrc_bias[:, index["dof"]]
+    error = state.ctrl[:, index["ctrl"]] - q
     direction = np.tanh(v / 0.02)
     terms = {
         "constant": 1.0,
         "angle": q,
         "speed": v,
+        "speed_size": abs(v),
         "drag": v * abs(v),
         "direction": direction,
         "direction_angle": direction * q,
         "load": load,
         "direction_load": direction * abs(load),
-        "error": state.ctrl[:, index["ctrl"]] - q,
+        "speed_load": v * abs(load),
+        "error": error,
+        "error_drag": error * abs(error),
+        "error_angle": error * q,
         "time": state.time,
         "direction_time": direction * state.time,
     }
@@ -67,17 +77,19 @@ def residual_torque(state: State, index: dict[str, int], values: Mapping[str, An
         kind, _, rest = name.partition("_at_")
         if name in terms:
             torque = torque + coefficient * terms[name]
-        elif kind in ("bump", "direction_bump", "speed_bump"):
+        elif kind in ("bump", "direction_bump", "speed_bump", "error_bump"):
             number = rest.split("_")[0]
             shape = np.exp(-0.5 * ((q - values["centre_" + number]) / values["width"]) ** 2)
-            torque = torque + coefficient * shape * {"bump": 1.0, "direction_bump": direction, "speed_bump": v}[kind]
+            what = {"bump": 1.0, "direction_bump": direction, "speed_bump": v, "error_bump": error}[kind]
+            torque = torque + coefficient * shape * what
         elif kind in ("direction_recent", "speed_recent"):
             lately = state.recent(index["dof"], float(rest))
             torque = torque + coefficient * lately * (direction if kind == "direction_recent" else v)
-        elif kind in ("other_angle", "other_speed", "speed_product", "speed_other"):
+        elif kind in ("other_angle", "direction_other", "other_speed", "speed_product", "speed_other"):
             dof = int(rest)
-            other = state.qpos[:, dof] if kind == "other_angle" else state.qvel[:, dof]
-            torque = torque + coefficient * {"speed_product": other * v, "speed_other": abs(other) * v}.get(kind, other)
+            other = state.qpos[:, dof] if kind in ("other_angle", "direction_other") else state.qvel[:, dof]
+            products = {"direction_other": direction * other, "speed_product": other * v, "speed_other": abs(other) * v}
+            torque = torque + coefficient * products.get(kind, other)
     state.torque[:, index["dof"]] += torque
 
 
@@ -171,8 +183,9 @@ def _candidates(problem: Problem, joint: str) -> tuple[dict[str, float], list[st
     model = problem.robot.model
     others = [int(model.jnt_dofadr[model.joint(name).id]) for name in problem.joints if name != joint]
     names = list(FEATURES)
-    names += [f"{kind}_at_{i}" for kind in ("bump", "direction_bump", "speed_bump") for i in range(BUMPS)]
-    names += [f"{kind}_at_{dof}" for kind in ("other_angle", "other_speed", "speed_product", "speed_other") for dof in others]
+    names += [f"{kind}_at_{i}" for kind in BUMPED for i in range(BUMPS)]
+    crossed = ("other_angle", "direction_other", "other_speed", "speed_product", "speed_other")
+    names += [f"{kind}_at_{dof}" for kind in crossed for dof in others]
     names += [f"{kind}_at_{seconds:g}" for kind in ("direction_recent", "speed_recent") for seconds in RECENT]
     return shape, names
 
@@ -180,8 +193,9 @@ def _candidates(problem: Problem, joint: str) -> tuple[dict[str, float], list[st
 def _scales(problem: Problem, joint: str, names: Sequence[str]) -> list[float]:
     """How large each term typically is, so that coefficients are searched on a torque's scale."""
     load = max(torque_scale(problem.robot.model, joint), 1e-6)
-    typical = {"drag": 1.0, "load": load, "direction_load": load, "error": 0.05, "time": 10.0, "direction_time": 10.0}
-    return [typical.get(name, 1.0) for name in names]
+    typical = {"load": load, "direction_load": load, "speed_load": load, "time": 10.0, "direction_time": 10.0}
+    typical |= {"error": 0.05, "error_angle": 0.05, "error_bump": 0.05, "error_drag": 0.05**2}
+    return [typical.get(name.partition("_at_")[0], 1.0) for name in names]
 
 
 def chosen_terms(problem: Problem, fit: Fit, residuals: Float[np.ndarray, "F R"]) -> list[int]:
@@ -242,17 +256,19 @@ def _formula(fit: Fit, placement: Placement) -> str:
 
 def _words(quantity: str, shape: Mapping[str, float]) -> str:
     plain = {
-        "constant": "1", "angle": "q", "speed": "v", "drag": "v|v|", "direction": "sign(v)", "direction_angle": "sign(v) q",
-        "load": "load", "direction_load": "sign(v) |load|", "error": "(u - q)", "time": "t", "direction_time": "sign(v) t",
+        "constant": "1", "angle": "q", "speed": "v", "speed_size": "|v|", "drag": "v|v|", "direction": "sign(v)",
+        "direction_angle": "sign(v) q", "load": "load", "direction_load": "sign(v) |load|", "speed_load": "v |load|",
+        "error": "(u - q)", "error_drag": "(u - q)|u - q|", "error_angle": "(u - q) q", "time": "t", "direction_time": "sign(v) t",
     }  # fmt: skip
     if quantity in plain:
         return plain[quantity]
     kind, _, rest = quantity.partition("_at_")
     if kind.endswith("bump"):
         bump = f"bump(q at {shape['centre_' + rest]:.2f} rad, width {shape['width']:.2f})"
-        return {"bump": bump, "direction_bump": f"sign(v) {bump}", "speed_bump": f"v {bump}"}[kind]
+        before = {"direction_bump": "sign(v) ", "speed_bump": "v ", "error_bump": "(u - q) "}.get(kind, "")
+        return f"{before}{bump}"
     if kind.endswith("recent"):
         lately = f"mean |v| of the last {rest} s"
         return f"sign(v) {lately}" if kind == "direction_recent" else f"v {lately}"
-    words = {"other_angle": f"q{rest}", "other_speed": f"v{rest}", "speed_product": f"v v{rest}", "speed_other": f"v |v{rest}|"}
-    return words[kind]
+    words = {"other_angle": "q", "direction_other": "sign(v) q", "other_speed": "v", "speed_product": "v v"}
+    return f"v |v{rest}|" if kind == "speed_other" else f"{words[kind]}{rest}"

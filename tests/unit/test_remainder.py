@@ -48,6 +48,36 @@ def test_friction_that_melts_as_a_joint_moves_is_described_by_how_fast_it_was_la
     assert found.errors.mean() < 0.25 * left_out_errors(problem, fit).mean(), "half of the error, on motions left out"
 
 
+def weakened(robot: RobotModel, seed: int) -> Episode:
+    """A motion by MuJoCo alone of a tilt joint whose servo pulls with two fifths of its gain less around 0.3 rad."""
+    rng, model = np.random.default_rng(seed), robot.model
+    data, dof, step = mujoco.MjData(model), model.joint("tilt").dofadr[0], float(model.opt.timestep)
+    times = np.arange(0.0, 8.0, 0.02)
+    command = 0.8 * np.sin(times[:, None] * rng.uniform(1.0, 2.5, 2) + rng.uniform(0.0, 6.0, 2)) * [1.0, 0.9]
+    data.qpos[:2] = command[0]
+    clock, passed = [], []
+    for k in range(int(times[-1] / step) + 1):
+        data.ctrl[:2] = command[min(int(k * step / 0.02 + 1e-9), len(command) - 1)]
+        clock.append(k * step)
+        passed.append(data.qpos[:2].copy())
+        lost = 0.4 * np.exp(-(((data.qpos[1] - 0.3) / 0.25) ** 2))
+        data.qfrc_applied[dof] = -lost * 20.0 * (data.ctrl[1] - data.qpos[1])
+        mujoco.mj_step(model, data)
+    position = np.stack([np.interp(times, clock, column) for column in np.array(passed).T], axis=1)
+    return Episode(f"weak_{seed}", robot.joints, times, position + rng.normal(0.0, 2e-4, position.shape), times, command)
+
+
+def test_a_servo_that_is_weak_at_one_place_is_described_by_its_error_there() -> None:
+    robot = robot_of("pan_tilt")
+    assert robot is not None
+    problem = prepare(robot, [weakened(robot, seed) for seed in range(6)], Settings())
+    fit = fit_nuisance(problem)
+    found = find_remainder(problem, fit)
+    assert found is not None and found.real and found.joint == "tilt"
+    assert "(u - q) bump(q at " in found.formula
+    assert found.errors.mean() < 0.1 * left_out_errors(problem, fit).mean(), "a third of the error, on motions left out"
+
+
 @pytest.mark.parametrize(("alone", "told"), [(1.05, False), (1.5, True)])
 def test_names_that_fall_short_go_where_a_formula_alone_does_as_well(
     alone: float, told: bool, monkeypatch: pytest.MonkeyPatch
