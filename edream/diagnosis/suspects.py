@@ -6,17 +6,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from edream.core.parameters import targets_in
-from edream.diagnosis.candidates import Candidate
+from edream.diagnosis.candidates import Candidate, acted_on
 from edream.diagnosis.descent import Fit, begin, cost, descend, polish
 from edream.diagnosis.left_out import left_out_errors
 from edream.diagnosis.problem import Problem, nuisance_placements
-from edream.diagnosis.screen import screen
-from edream.diagnosis.trials import judged, refit
+from edream.diagnosis.screen import Scored, screen
+from edream.diagnosis.side_by_side import side_by_side
+from edream.diagnosis.trials import Trial, judged, refit
 from edream.sim.simulation import SimulatedRobot
 
 EVIDENCE = 4.0  # by how much the cost (-2 log posterior) must fall
 HOMEWARD = 0.5  # share of the strangeness that a suspect must explain
-REFITTED = 4
+REFITTED = 10
 PROMISING, PATIENTLY = 0.5, 8  # of the largest relief, from which suspects are fitted on, for so many steps
 AS_GOOD = 1.03  # times the error without it
 TIGHTER = (0.5, 0.3)  # times the usual width of what is believed
@@ -58,20 +59,36 @@ def find_suspects(
     strange = strangeness(believing, strange_names)
     if strange < EVIDENCE:
         return []
-    errors = left_out_errors(problem, fit)
+    errors, threads = left_out_errors(problem, fit), problem.settings.threads
+    joints = frozenset(joint for name in strange_names for joint in targets_in(name))
+    likely = one_each(screen(problem, believing, done), joints)[:REFITTED]
     trials = []
-    for one in screen(problem, believing, done)[:REFITTED]:
-        trials.append(refit(problem, believing, errors, one))
+    for trial in side_by_side(lambda one: refit(problem, believing, errors, one), likely, threads):
+        trials.append(trial)
         done(1)
     most = max((relief_by(believing, trial.fit) for trial in trials), default=0.0)
+
+    def gone_home(trial: Trial) -> Trial:
+        """Numbers go home slowly, along a flat valley."""
+        slow = relief_by(believing, trial.fit) >= PROMISING * most
+        return judged(problem, descend(trial.fit, None, PATIENTLY), errors, trial) if slow else trial
+
     found = []
-    for trial in trials:
-        if relief_by(believing, trial.fit) >= PROMISING * most:  # numbers go home slowly, along a flat valley
-            trial = judged(problem, descend(trial.fit, None, PATIENTLY), errors, trial)
+    for trial in side_by_side(gone_home, trials, threads):
         relief, home = relief_by(believing, trial.fit), strange - strangeness(trial.fit, strange_names)
         if relief > EVIDENCE and home > HOMEWARD * strange and np.sqrt(trial.errors.mean()) < AS_GOOD * np.sqrt(errors.mean()):
             found.append(Suspect(trial.candidate, trial.fit, relief))
     return sorted(found, key=lambda s: -s.relief)
+
+
+def one_each(scored: Sequence[Scored], joints: frozenset[str]) -> list[Scored]:
+    """The best place of every effect that acts on some of these joints, or on links or the world; best first.
+
+    What hides in strange numbers shows little beside them: what the score test is least sure of here is their order.
+    """
+    there = [s for s in scored if not acted_on(s.candidate) or acted_on(s.candidate) & joints]
+    best = {s.candidate.effect: s for s in reversed(there)}
+    return [s for s in there if best[s.candidate.effect] is s]
 
 
 def relief_by(believing: Fit, fit: Fit) -> float:

@@ -7,10 +7,20 @@ import pytest
 
 from benchmarks.blind.cases import robot_of
 from edream.core.episode import Episode
+from edream.diagnosis.candidates import Candidate
 from edream.diagnosis.descent import begin, polish
 from edream.diagnosis.nuisance import fit_nuisance
 from edream.diagnosis.problem import Settings, prepare
-from edream.diagnosis.suspects import AS_WELL_MET, FLOOR_KNOWN, ORDINARY, brought_home, most_ordinary, with_ordinary_numbers
+from edream.diagnosis.screen import Scored
+from edream.diagnosis.suspects import (
+    AS_WELL_MET,
+    FLOOR_KNOWN,
+    ORDINARY,
+    brought_home,
+    most_ordinary,
+    one_each,
+    with_ordinary_numbers,
+)
 from edream.diagnosis.verdict import off_nominal, strange_numbers
 from edream.reality.recorder import Recorder, make_recordings
 from edream.reality.truth import draw
@@ -69,3 +79,23 @@ def test_numbers_that_are_ordinary_one_and_all_are_preferred_where_they_cost_not
         assert ORDINARY[0] * published * (1 - 1e-6) <= found[name] <= ORDINARY[1] * published * (1 + 1e-6)
     assert most_ordinary(problem, along).rms <= along.rms * AS_WELL_MET
     assert not strange_numbers(problem, most_ordinary(problem, along))
+
+
+def test_every_effect_is_heard_where_numbers_are_strange_once_and_links_and_the_world_too() -> None:
+    def scored(effect: str, target: str) -> Scored:
+        return Scored(Candidate(effect, (target,) if target else ()), {}, 0.1)
+
+    order = [
+        ("spring", "pan"),
+        ("spring", "tilt"),
+        ("payload", "head"),
+        ("cogging", "pan"),
+        ("spring", "tilt"),
+        ("gravity_tilt", ""),
+    ]
+    heard = one_each([scored(*one) for one in order], frozenset({"tilt"}))
+    assert [(one.candidate.effect, one.candidate.targets) for one in heard] == [
+        ("spring", ("tilt",)),
+        ("payload", ("head",)),
+        ("gravity_tilt", ()),
+    ]
