@@ -83,7 +83,7 @@ def try_best(
     few, threads = on_few(fit), problem.settings.threads
     tried = [*serious[:REFITTED], *(s for s in groups if s not in serious[:REFITTED])]
     begun = []
-    for near, one in zip(side_by_side(lambda one: first_steps(problem, few, one), tried, threads), tried, strict=True):
+    for near, one in zip(side_by_side(lambda one: refitted(problem, few, one, iterations=2), tried, threads), tried, strict=True):
         begun.append((near, one))
         done(1)
     begun.sort(key=lambda pair: pair[0].rms)
@@ -91,11 +91,6 @@ def try_best(
     hopeful = [pair for pair, gain in zip(begun, gained, strict=True) if gain >= HOPELESS * gained[0]][:FINISHED]
     trials = side_by_side(lambda pair: judged(problem, gone_on(fit, pair[0]), errors, pair[1]), hopeful, threads)
     return sorted(trials, key=lambda t: -t.closed)
-
-
-def first_steps(problem: Problem, few: Fit, scored: Scored) -> Fit:
-    """A candidate two steps from where the score test puts it, its joints' usual numbers with it."""
-    return refitted(problem, few, scored, 2, acted_on(scored.candidate))
 
 
 def on_few(fit: Fit) -> Fit:
