@@ -103,10 +103,11 @@ class World:
         def off(nominal: np.ndarray) -> np.ndarray:
             return nominal * np.exp(rng.uniform(-0.3, 0.3, len(joints)))
 
-        self.limit = np.full(len(joints), np.inf)
+        self.least, self.most = np.full(len(joints), -np.inf), np.full(len(joints), np.inf)
         of_joints = model.jnt_actfrcrange[joints], model.jnt_actfrclimited[joints]
         for ranges, given in ((model.actuator_forcerange, model.actuator_forcelimited), of_joints):
-            self.limit = np.where(given.astype(bool), np.minimum(self.limit, ranges[:, 1]), self.limit)
+            self.least = np.where(given.astype(bool), np.maximum(self.least, ranges[:, 0]), self.least)
+            self.most = np.where(given.astype(bool), np.minimum(self.most, ranges[:, 1]), self.most)
         self.kp = off(-model.actuator_biasprm[:, 1])
         own = -model.actuator_biasprm[:, 2]
         self.kd = off(np.where(own > 0.0, own, 0.04 * self.kp) + model.dof_damping[self.dof])
@@ -150,7 +151,7 @@ class World:
                 rows.append(data.qpos[self.qpos].copy())
             q, v = data.qpos[self.qpos], data.qvel[self.dof]
             error = self._commanded(command[max(k - late, 0) // hold]) - q
-            torque = np.clip(self._served(error, v), -self.limit, self.limit)
+            torque = np.clip(self._served(error, v), self.least, self.most)
             torque, slip = self._hidden(torque, q, v, max(k, 0) * STEP)
             stiffness = self.slip / SLIP
             bristle = np.clip(bristle + v * STEP, -slip / stiffness, slip / stiffness)

@@ -20,7 +20,7 @@ from edream.sim.window import Window
 SECONDS, RATE, SETTLE = 20.0, 50.0, 1.0
 RESTED = round(SETTLE * RATE)  # rows after which a planned motion no longer shows that it began where no servo holds a weight
 DRAWN, JUDGED, CHANGED = 40, 6, 4
-FREE = 8  # directions in which the recordings leave a model's numbers most room: others move no motion by what can be seen
+FREE = 8  # directions in which the recordings leave a model's numbers most room; the others are taken to be known
 MARGIN = 0.05  # of a joint's range is kept free at either end
 INVISIBLE = 0.01  # floors: predictions this near are the same
 # of the floor squared: the mean difference that a motion must promise; recorded as often as the others, it tells
@@ -238,8 +238,8 @@ def evidences(
 def _with_slopes(problem: Problem, fit: Fit, windows: Sequence[Window]) -> list[tuple[np.ndarray, np.ndarray]]:
     """Predictions (R,) of each window, and how they move within the numbers' uncertainty, (R, FREE).
 
-    A direction that the recordings tell adds about one measurement's worth of noise to all of a motion; those that they leave open
-    are what a new motion may be met by.
+    In a direction that the recordings tell, a new motion is taken to have no room: over all of its measurements that would be about
+    as much as the noise of one.
     """
     size, turn = np.linalg.eigh(fit.covariance())
     root = (turn * np.sqrt(np.maximum(size, 0.0)))[:, -FREE:]

@@ -152,13 +152,14 @@ def try_boldly(
 
 def nearer_beside_published(problem: Problem, fit: Fit, places: Sequence[Scored]) -> list[Scored]:
     """The candidates that are nearer to the motions than the fit is, small beside the published numbers; nearest first."""
-    found = []
-    for one in places:
+
+    def away(one: Scored) -> float:
         place = placement(problem, one.candidate)
         extended, absent = extend(fit, [place])
-        residuals = extended.residuals(np.array(beside_published(problem, place, extended, absent)))
-        found.append((min(rms(r) for r in residuals), one))
-    return [one for away, one in sorted(found, key=lambda pair: pair[0]) if away < fit.rms][:LIKELIEST]
+        return min(rms(r) for r in extended.residuals(np.array(beside_published(problem, place, extended, absent))))
+
+    found = list(zip(side_by_side(away, places, problem.settings.threads), places, strict=True))
+    return [one for error, one in sorted(found, key=lambda pair: pair[0]) if error < fit.rms][:LIKELIEST]
 
 
 def with_bold(

@@ -12,6 +12,43 @@ from edream.sim.scales import BANDWIDTH, largest, position_gain
 from edream.sim.servo import damping_inside, merge_damping, share_damping
 
 
+def damping(model: mujoco.MjModel, targets: Sequence[str]) -> Parameter:
+    """The damping of a joint and its servo together [N m s/rad], as published, or guessed from the servo's gain."""
+    index = joint_index(model, targets[0])
+    nominal = float(model.dof_damping[index["drive"]] - model.actuator_biasprm[index["actuator"], 2])
+    guess = 0.0 if nominal > 0.0 else position_gain(model, targets[0]) / BANDWIDTH
+    high = max(10.0 * nominal, 10.0 * guess, largest(model, targets))
+    start = float(np.clip(max(nominal, guess), high * 1e-4, high))
+    return Parameter("damping", "N m s/rad", high * 1e-4, high, start, scale="log", guessed=nominal <= 0.0)
+
+
+def doses(model: mujoco.MjModel, targets: Sequence[str]) -> tuple[dict[str, float], ...]:
+    """A little less damping and a little more [N m s/rad]."""
+    start = damping(model, targets).start
+    return ({"damping": 0.7 * start}, {"damping": 1.4 * start})
+
+
+class SharedViscous(Effect):
+    """The same as `Viscous`, and how much of it is the servo's: within its torque limit, which motions that reach the limit tell.
+
+    Parameters: damping b [N m s/rad]; inside: the servo's share of it [1], about as published.
+    """
+
+    name = "viscous"
+    summary = "another viscous friction"
+    place = "joint"
+
+    def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
+        return (damping(model, targets), replace(damping_inside(model, targets), guessed=True))
+
+    def probes(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[dict[str, float], ...]:
+        return doses(model, targets)
+
+    def write(self, fields: Fields, target: str, values: Values) -> None:
+        merge_damping(fields, target, values["damping"])
+        share_damping(fields, target, values["inside"])
+
+
 class Viscous(Effect):
     """All resistance proportional to speed, the servo's own derivative term included.
 
@@ -27,36 +64,16 @@ class Viscous(Effect):
     summary = "another viscous friction"
     place = "joint"
     confusable = ("actuator_lag", "actuator_delay")
+    finer = SharedViscous()
 
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
-        index = joint_index(model, targets[0])
-        nominal = float(model.dof_damping[index["drive"]] - model.actuator_biasprm[index["actuator"], 2])
-        guess = 0.0 if nominal > 0.0 else position_gain(model, targets[0]) / BANDWIDTH
-        high = max(10.0 * nominal, 10.0 * guess, largest(model, targets))
-        start = float(np.clip(max(nominal, guess), high * 1e-4, high))
-        return (Parameter("damping", "N m s/rad", high * 1e-4, high, start, scale="log", guessed=nominal <= 0.0),)
+        return (damping(model, targets),)
 
     def probes(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[dict[str, float], ...]:
-        start = self.parameters(model, targets)[0].start
-        return ({"damping": 0.7 * start}, {"damping": 1.4 * start})
+        return doses(model, targets)
 
     def write(self, fields: Fields, target: str, values: Values) -> None:
         merge_damping(fields, target, values["damping"])
 
 
-class SharedViscous(Viscous):
-    """The same, and how much of it is the servo's: within its torque limit, which motions that reach the limit tell.
-
-    Parameters: damping b; inside: the servo's share of it [1], about as published.
-    """
-
-    def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
-        return (*super().parameters(model, targets), replace(damping_inside(model, targets), guessed=True))
-
-    def write(self, fields: Fields, target: str, values: Values) -> None:
-        super().write(fields, target, values)
-        share_damping(fields, target, values["inside"])
-
-
 ENTRY = Viscous()
-ENTRY.finer = SharedViscous()

@@ -62,7 +62,7 @@ def add_rotor(spec: mujoco.MjSpec, joint: str) -> mujoco.MjsTendon:
 
 
 def keep_range(spec: mujoco.MjSpec, actuator: Any) -> None:
-    """Write down the range of commands that an actuator takes over from its joint (`inheritrange`): a rotor has none to give."""
+    """Write down the range of commands [rad or m] that an actuator takes over from its joint (`inheritrange`): a rotor has none."""
     if actuator.inheritrange > 0.0:
         number = [one.target for one in spec.actuators].index(actuator.target)
         actuator.ctrlrange, actuator.inheritrange = spec.copy().compile().actuator_ctrlrange[number], 0.0

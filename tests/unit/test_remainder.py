@@ -1,5 +1,6 @@
 """Gaps without a name: which formula is told, and what it remembers of the motion."""
 
+from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
@@ -16,25 +17,42 @@ from edream.diagnosis.problem import Settings, prepare
 from edream.diagnosis.remainder import find_remainder
 from edream.sim.robot import RobotModel
 
+TIMES = np.arange(0.0, 8.0, 0.02)
 
-def warmed(robot: RobotModel, seed: int) -> Episode:
-    """A motion by MuJoCo alone of a tilt joint whose dry friction melts away with the way it goes, and comes back at rest."""
-    rng, model = np.random.default_rng(seed), robot.model
+
+def played(
+    robot: RobotModel, rng: np.random.Generator, command: np.ndarray, torque: Callable[[mujoco.MjData, float], float]
+) -> Episode:
+    """A motion by MuJoCo alone, a torque [N m] of the state and the step [s] put on the tilt joint; its encoder is noisy."""
+    model = robot.model
     data, dof, step = mujoco.MjData(model), model.joint("tilt").dofadr[0], float(model.opt.timestep)
-    times = np.arange(0.0, 8.0, 0.02)
-    going = np.clip(times - rng.uniform(0.2, 2.0), 0.0, None)[:, None]
-    command = 0.5 * np.sin(going * rng.uniform(1.5, 3.0, 2)) * [1.0, 0.6]
-    heat, clock, passed = 0.0, [], []
-    for k in range(int(times[-1] / step) + 1):
+    data.qpos[:2] = command[0]
+    clock, passed = [], []
+    for k in range(int(TIMES[-1] / step) + 1):
         data.ctrl[:2] = command[min(int(k * step / 0.02 + 1e-9), len(command) - 1)]
-        speed = float(data.qvel[dof])
         clock.append(k * step)
         passed.append(data.qpos[:2].copy())
-        data.qfrc_applied[dof] = -0.12 * np.exp(-2.0 * heat) * np.tanh(speed / 0.01)
-        heat += step * (abs(speed) - heat / 3.0)
+        data.qfrc_applied[dof] = torque(data, step)
         mujoco.mj_step(model, data)
-    position = np.stack([np.interp(times, clock, column) for column in np.array(passed).T], axis=1)
-    return Episode(f"warm_{seed}", robot.joints, times, position + rng.normal(0.0, 2e-4, position.shape), times, command)
+    position = np.stack([np.interp(TIMES, clock, column) for column in np.array(passed).T], axis=1)
+    noisy = position + rng.normal(0.0, 2e-4, position.shape)
+    return Episode(f"motion_{rng.integers(1 << 30)}", robot.joints, TIMES, noisy, TIMES, command)
+
+
+def warmed(robot: RobotModel, seed: int) -> Episode:
+    """A tilt joint whose dry friction melts away with the way it goes, and comes back at rest."""
+    rng = np.random.default_rng(seed)
+    going = np.clip(TIMES - rng.uniform(0.2, 2.0), 0.0, None)[:, None]
+    heat = 0.0
+
+    def friction(data: mujoco.MjData, step: float) -> float:
+        nonlocal heat
+        speed = float(data.qvel[robot.model.joint("tilt").dofadr[0]])
+        torque = -0.12 * np.exp(-2.0 * heat) * np.tanh(speed / 0.01)
+        heat += step * (abs(speed) - heat / 3.0)
+        return torque
+
+    return played(robot, rng, 0.5 * np.sin(going * rng.uniform(1.5, 3.0, 2)) * [1.0, 0.6], friction)
 
 
 def test_friction_that_melts_as_a_joint_moves_is_described_by_how_fast_it_was_lately() -> None:
@@ -49,22 +67,15 @@ def test_friction_that_melts_as_a_joint_moves_is_described_by_how_fast_it_was_la
 
 
 def weakened(robot: RobotModel, seed: int) -> Episode:
-    """A motion by MuJoCo alone of a tilt joint whose servo pulls with two fifths of its gain less around 0.3 rad."""
-    rng, model = np.random.default_rng(seed), robot.model
-    data, dof, step = mujoco.MjData(model), model.joint("tilt").dofadr[0], float(model.opt.timestep)
-    times = np.arange(0.0, 8.0, 0.02)
-    command = 0.8 * np.sin(times[:, None] * rng.uniform(1.0, 2.5, 2) + rng.uniform(0.0, 6.0, 2)) * [1.0, 0.9]
-    data.qpos[:2] = command[0]
-    clock, passed = [], []
-    for k in range(int(times[-1] / step) + 1):
-        data.ctrl[:2] = command[min(int(k * step / 0.02 + 1e-9), len(command) - 1)]
-        clock.append(k * step)
-        passed.append(data.qpos[:2].copy())
-        lost = 0.4 * np.exp(-(((data.qpos[1] - 0.3) / 0.25) ** 2))
-        data.qfrc_applied[dof] = -lost * 20.0 * (data.ctrl[1] - data.qpos[1])
-        mujoco.mj_step(model, data)
-    position = np.stack([np.interp(times, clock, column) for column in np.array(passed).T], axis=1)
-    return Episode(f"weak_{seed}", robot.joints, times, position + rng.normal(0.0, 2e-4, position.shape), times, command)
+    """A tilt joint whose servo lacks up to two fifths of its gain [20 N m/rad] within 0.4 rad of 0.3 rad, in a triangle."""
+    rng = np.random.default_rng(seed)
+    phase = TIMES[:, None] * rng.uniform(1.0, 2.5, 2) + rng.uniform(0.0, 6.0, 2)
+
+    def missing(data: mujoco.MjData, step: float) -> float:
+        lost = 0.4 * max(0.0, 1.0 - abs(float(data.qpos[1]) - 0.3) / 0.4)
+        return -lost * 20.0 * float(data.ctrl[1] - data.qpos[1])
+
+    return played(robot, rng, 0.8 * np.sin(phase) * [1.0, 0.9], missing)
 
 
 def test_a_servo_that_is_weak_at_one_place_is_described_by_its_error_there() -> None:
