@@ -122,11 +122,14 @@ def diagnose(problem: Problem, done: Callable[[str, int], object] = lambda text,
     short = falls_short(problem, rounds[0].errors, left) if trials else gap > REAL_GAP
     if short and not trials:
         effects = []  # numbers that are strange beside a real gap have made up for it; they are not what is missing
-    verdict = judge(effects, remainder, short)
+    verdict, possible = judge(effects, remainder, short), contenders(fit, trials, effects, rounds, suspects)
     if remainder is not None:
         fit = remainder.fit
         effects = [one for one in effects if remainder.beside_names]
         ladder.append(("remainder", np.sqrt(proof_errors(problem, fit))))
+    elif suspects and effects:
+        fit = suspects[0].fit  # what is named is what is written, with the ordinary numbers that it leaves
+        ladder.append((f"+ {suspects[0].candidate.label}", np.sqrt(proof_errors(problem, fit))))
     after = np.sqrt(proof_errors(problem, fit))
     return Diagnosis(
         problem=problem,
@@ -141,7 +144,7 @@ def diagnose(problem: Problem, done: Callable[[str, int], object] = lambda text,
         rounds=rounds,
         ladder=ladder,
         remainder=remainder,
-        contenders=contenders(fit, trials, effects, rounds, suspects) if verdict == "cannot_tell" else (),
+        contenders=possible if verdict == "cannot_tell" else (),
     )
 
 

@@ -12,6 +12,7 @@ from edream.diagnosis.candidates import Candidate, placement
 from edream.diagnosis.nuisance import fit_nuisance
 from edream.diagnosis.problem import Settings, prepare
 from edream.diagnosis.screen import Scored
+from edream.diagnosis.suspects import Suspect
 from edream.diagnosis.trials import Trial, with_bold
 from edream.sim.rollout import rollout
 from edream.sim.simulation import SimulatedRobot
@@ -170,10 +171,20 @@ class FitOf:
     ended: bool = False
 
 
-@pytest.mark.parametrize(("floors", "expected", "named"), [(1.0, "named", ["servo_gain"]), (6.0, "unnamed", [])])
+@pytest.mark.parametrize(
+    ("floors", "behind", "expected", "named", "written"),
+    [
+        (1.0, False, "named", ["servo_gain"], "usual"),
+        (6.0, False, "unnamed", [], "usual"),
+        (1.0, True, "cannot_tell", ["spring"], "with a spring"),
+        (6.0, True, "unnamed", [], "usual"),
+    ],
+)
 def test_strange_numbers_are_an_answer_only_where_nothing_is_left(
-    monkeypatch: pytest.MonkeyPatch, floors: float, expected: str, named: list[str]
+    monkeypatch: pytest.MonkeyPatch, floors: float, behind: bool, expected: str, named: list[str], written: str
 ) -> None:
+    """What stands behind them is named instead, and is in the model that is written."""
+    spring = Suspect(Candidate("spring", ("tilt",)), FitOf("with a spring", 1.0), 9.0)  # type: ignore[arg-type]
     gain = verdict.Named("servo_gain", "another servo gain", ("tilt",), {}, {}, {}, 0.0, None, ())
     errors = np.full(4, (floors * 1e-3) ** 2)
     nothing = decide.Round(FitOf("usual", 1.0), errors, [], [], None)
@@ -188,7 +199,8 @@ def test_strange_numbers_are_an_answer_only_where_nothing_is_left(
         "most_ordinary": lambda problem, fit: fit,
         "off_nominal": lambda problem, fit: [gain],
         "polish": lambda fit: fit,
-        "find_suspects": lambda problem, fit, strange, done: [],
+        "find_suspects": lambda problem, fit, strange, done: [spring] if behind else [],
+        "numbers_of": lambda problem, fit, candidate: ({}, {}, {}),
         "find_remainder": lambda problem, fit, beside_names=False: None,
     }.items():
         monkeypatch.setattr(verdict, name, value)
@@ -196,7 +208,9 @@ def test_strange_numbers_are_an_answer_only_where_nothing_is_left(
     problem = SimpleNamespace(floor=1e-3, robot=robot, settings=SimpleNamespace(seed=0))
     found = verdict.diagnose(problem)
     assert found.verdict == expected and [one.name for one in found.effects] == named
-    assert ("servo gain" in found.sentence) is bool(named)
+    assert ("servo gain" in found.sentence) is ("servo_gain" in named)
+    assert found.after.name == written  # type: ignore[attr-defined]
+    assert [label for label, _ in found.contenders] == (["strange numbers", "spring[tilt]"] if expected == "cannot_tell" else [])
 
 
 def test_beside_a_lag_the_numbers_of_its_joint_are_differenced_anew() -> None:
