@@ -119,6 +119,12 @@ def groups_of(problem: Problem, candidates: Sequence[Candidate]) -> list[Candida
     return out
 
 
+def confused_with(problem: Problem, effect: str) -> list[Effect]:
+    """The effects of the library that are known to be confused with one."""
+    own = load("effects", effect, Effect)
+    return [one for one in library(problem) if one.name in own.confusable or own.name in one.confusable]
+
+
 def alike(problem: Problem) -> list[tuple[str, ...]]:
     """Joints that may share an effect beside usual numbers of their own: those with the same published drive; all, on one bus."""
     drives: dict[bytes, list[str]] = {}

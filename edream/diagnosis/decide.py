@@ -8,11 +8,12 @@ from jaxtyping import Float
 
 from edream.catalog import load
 from edream.core.effect import Effect
-from edream.diagnosis.candidates import Candidate, acted_on, library, placement
+from edream.diagnosis.candidates import Candidate, acted_on, confused_with, placement
 from edream.diagnosis.descent import Fit, begin, descend, polish
 from edream.diagnosis.left_out import bootstrap, is_brief, left_out_errors
 from edream.diagnosis.narrowing import narrowed
 from edream.diagnosis.problem import VISIBLE, Problem
+from edream.diagnosis.remainder import Remainder, find_remainder
 from edream.diagnosis.rough import rough_candidates, searched
 from edream.diagnosis.screen import Scored, extend, screen
 from edream.diagnosis.side_by_side import side_by_side
@@ -46,18 +47,24 @@ DISTINCT = 0.5  # of the floor squared, or of the error where that is larger
 FEWEST = 3  # motions that a difference may rest on
 BOUND = 1e-3  # of the unit box: nearer, a number sits at its bound
 ROUNDING = 1e-9  # a bound of a box that went through its logarithm
+CLEARLY = 0.75  # of what a stand-in leaves
+STAND_INS = 2  # names that together close less than half of a real gap: no further one is looked for
 REAL_GAP = 1.8  # how many floors of left-out error are a gap worth a name
 
 
 @dataclass(frozen=True, eq=False)
 class Round:
-    """One forward step: the gap before it, every candidate tried, best first, and the one taken, if any."""
+    """One forward step: the gap before it, every candidate tried, best first, and the one taken, if any.
+
+    `formula` is one that does so much better than every candidate that none was taken.
+    """
 
     before: Fit
     errors: Float[np.ndarray, "M"]
     scored: Sequence[Scored]
     trials: Sequence[Trial]
     taken: Trial | None
+    formula: Remainder | None = None
 
 
 def forward(
@@ -75,7 +82,8 @@ def forward(
         errors = left_out_errors(problem, fit)
         first = rounds[0].errors if rounds else errors
         left, whole = (float(np.sqrt(e.mean())) - problem.floor for e in (errors, first))
-        if left <= max(VISIBLE * problem.floor, MATERIAL * whole if rounds else 0.0):
+        told = left > max(VISIBLE * problem.floor, MATERIAL * whole if rounds else 0.0)
+        if not told or (len(rounds) >= STAND_INS and falls_short(problem, first, errors)):
             rounds.append(Round(fit, errors, [], [], None))
             break
         scored = screen(problem, fit, lambda n: done("screening", n))
@@ -87,6 +95,9 @@ def forward(
         trials = settled(problem, errors, trials)
         trials = restarted(problem, errors, trials)
         trials = simplified(problem, fit, errors, trials)
+        if not rounds and (formula := outdone(problem, fit, errors, trials)) is not None:
+            rounds.append(Round(fit, errors, scored, trials, None, formula))
+            break
         passing = [t for t in trials if passes(problem, t) and matters(problem, first, errors, t)]
         taken, ended = first_that_stands(problem, fit, passing)
         if taken is not None and (fewer := narrowed(problem, fit, errors, taken, ended)) is not None:
@@ -98,6 +109,36 @@ def forward(
             break
         fit = ended
     return problem, fit, rounds
+
+
+def outdone(problem: Problem, fit: Fit, errors: Float[np.ndarray, "M"], trials: Sequence[Trial]) -> Remainder | None:
+    """A formula that leaves clearly less than the best candidate does, where that closes less than half of a real gap.
+
+    The largest of several effects closes half of what they do together, mostly; what closes less is a stand-in.
+    """
+    best = max((t for t in trials if t.sure), key=lambda t: t.closed, default=None)
+    left = errors if best is None else best.errors
+    if best is not None and not falls_short(problem, errors, left):
+        return None
+    if not is_real(problem, left):
+        return None
+    found = find_remainder(problem, fit)
+    if found is None or not found.real:
+        return None
+    better, _ = bootstrap(left - found.errors, problem.settings.seed)
+    floor = problem.floor**2
+    return found if better > 0.0 and found.errors.mean() - floor < CLEARLY * (left.mean() - floor) else None
+
+
+def is_real(problem: Problem, errors: Float[np.ndarray, "M"]) -> bool:
+    """Whether errors on motions left out are a gap that is worth a name."""
+    return float(errors.mean()) > (REAL_GAP * problem.floor) ** 2
+
+
+def falls_short(problem: Problem, first: Float[np.ndarray, "M"], left: Float[np.ndarray, "M"]) -> bool:
+    """Whether the named effects close less than half of a real gap and leave one: then what is missing has not been found."""
+    start, end, floor = float(first.mean()), float(left.mean()), problem.floor**2
+    return is_real(problem, left) and start - end < HALF * (start - floor)
 
 
 def first_that_stands(problem: Problem, fit: Fit, passing: Sequence[Trial]) -> tuple[Trial | None, Fit]:
@@ -241,7 +282,7 @@ def with_rough(
     """The trials; where none that passes closes as much as half of a real gap, also the effects that no descent finds."""
     best = next((t for t in trials if passes(problem, t)), None)
     left = errors if best is None else best.errors
-    if float(np.sqrt(left.mean())) < REAL_GAP * problem.floor or (best is not None and best.closed >= HALF):
+    if not is_real(problem, left) or (best is not None and best.closed >= HALF):
         return list(trials)
     more = []
     for candidate in rough_candidates(problem, fit):
@@ -267,13 +308,12 @@ def with_confusable(
     best = next((t for t in trials if passes(problem, t)), None)
     if best is None:
         return list(trials)
-    own = load("effects", best.candidate.effect, Effect)
-    known = [one for one in library(problem) if one.name in own.confusable or own.name in one.confusable]
+    known = confused_with(problem, best.candidate.effect)
     places = [*scored, *placed_at(problem, fit, best.candidate.targets, known)]
     places.sort(key=lambda s: s.candidate.targets != best.candidate.targets)  # the score test's order otherwise
     chosen = {s.candidate.effect: s for s in reversed(places) if s.candidate.effect in [one.name for one in known]}
     twins = [s for s in chosen.values() if s.candidate not in [t.candidate for t in trials]]
-    few, most = on_few(fit), 1.0 - (best.fit.rms / fit.rms) ** 2
+    few, most = on_few(problem, fit), 1.0 - (best.fit.rms / fit.rms) ** 2
 
     def heard(one: Scored) -> Trial | None:
         joints = acted_on(one.candidate)

@@ -20,13 +20,15 @@ from edream.core.parameters import Parameter
 from edream.diagnosis.descent import Fit, descend
 from edream.diagnosis.left_out import bootstrap, folds, left_out_errors
 from edream.diagnosis.problem import Problem
-from edream.diagnosis.screen import Projection, extend
+from edream.diagnosis.screen import Projection, extend, thinned
+from edream.diagnosis.steps import with_long_steps
 from edream.diagnosis.trials import fresh_columns, with_column
 from edream.sim.scales import torque_scale
 from edream.sim.simulation import Placement
 
-BUMPS = 16
+NARROW, WIDE = 16, 5  # bumps over a joint's travel, of two widths
 MOST_TERMS = 8
+ENOUGH = 50.0  # s of motion on which terms are chosen
 SMALLEST_GAIN = 0.03  # share of the residual that a further term must explain
 FEATURES = (
     "constant",
@@ -45,7 +47,7 @@ FEATURES = (
     "time",
     "direction_time",
 )
-BUMPED = ("bump", "direction_bump", "speed_bump", "error_bump")
+BUMPED = ("bump", "direction_bump", "speed_bump", "motor_bump")
 RECENT = (0.5, 2.0, 10.0)  # s, over which a joint's speed may be remembered: what warms up, or settles
 
 
@@ -53,7 +55,7 @@ def residual_torque(state: State, index: dict[str, int], values: Mapping[str, An
     """A torque that no named effect explains, as a sum of simple terms."""
     q, v = state.qpos[:, index["qpos"]], state.qvel[:, index["dof"]]
     load = state.qfrc_bias[:, index["dof"]]
-    error = state.ctrl[:, index["ctrl"]] - q
+    error, motor = state.ctrl[:, index["ctrl"]] - q, state.actuator_force[:, index["force"]]
     direction = np.tanh(v / 0.02)
     terms = {
         "constant": 1.0,
@@ -77,10 +79,9 @@ def residual_torque(state: State, index: dict[str, int], values: Mapping[str, An
         kind, _, rest = name.partition("_at_")
         if name in terms:
             torque = torque + coefficient * terms[name]
-        elif kind in ("bump", "direction_bump", "speed_bump", "error_bump"):
-            number = rest.split("_")[0]
-            shape = np.exp(-0.5 * ((q - values["centre_" + number]) / values["width"]) ** 2)
-            what = {"bump": 1.0, "direction_bump": direction, "speed_bump": v, "error_bump": error}[kind]
+        elif kind in ("bump", "direction_bump", "speed_bump", "motor_bump"):
+            shape = np.exp(-0.5 * ((q - values["centre_" + rest]) / values["width_" + rest]) ** 2)
+            what = {"bump": 1.0, "direction_bump": direction, "speed_bump": v, "motor_bump": motor}[kind]
             torque = torque + coefficient * shape * what
         elif kind in ("direction_recent", "speed_recent"):
             lately = state.recent(index["dof"], float(rest))
@@ -144,20 +145,19 @@ def find_remainder(problem: Problem, fit: Fit, beside_names: bool = False) -> Re
     scales = _scales(problem, joint, candidates)
     everything = ResidualTorque(list(candidates), scales, shape)
     placed = Placement(everything, (joint,), fixed=shape)
-    extended, absent = extend(fit, [placed])
+    looked = with_long_steps(problem, thinned(fit, ENOUGH))
+    extended, absent = extend(looked, [placed])
     torque = 0.05 * torque_scale(problem.robot.model, joint)
     steps = torque / np.array(scales)
     sets = np.repeat(absent[None], len(candidates) + 1, axis=0)
     sets[1:, len(fit.unit) :] += np.diag(steps)
     residuals = extended.residuals(sets)
-    chosen = chosen_terms(problem, fit, residuals)
+    chosen = chosen_terms(problem, looked, residuals)
     if not chosen:
         return None
     names = [candidates[i] for i in chosen]
-    used = {
-        k: v for k, v in shape.items() if k == "width" or any(n.partition("_at_")[2] == k.removeprefix("centre_") for n in names)
-    }
-    used = used if any("bump" in n for n in names) else {}
+    places = {n.partition("_at_")[2] for n in names if n.partition("_at_")[0] in BUMPED}
+    used = {key: value for key, value in shape.items() if key.partition("_")[2] in places}
     small = Placement(ResidualTorque(names, [scales[i] for i in chosen], used), (joint,), fixed=used)
     begun, zero = extend(fit, [small])
     refitted = descend(with_column(fit, begun, zero), fresh_columns(fit, begun), iterations=6)
@@ -174,16 +174,20 @@ def _worst_joint(problem: Problem, fit: Fit) -> str:
 
 
 def _candidates(problem: Problem, joint: str) -> tuple[dict[str, float], list[str]]:
-    """Bump centres over the visited range of the joint, and the names of all terms."""
+    """Centres and widths of bumps over the visited range of the joint [rad], and the names of all terms."""
     column = problem.fitted[0].episode.joints.index(joint)
     visited = np.concatenate([w.measured[:, column] for w in problem.fitted])
     low, high = np.percentile(visited, [1, 99])
-    centres = np.linspace(low, high, BUMPS)
-    shape = {f"centre_{i}": float(c) for i, c in enumerate(centres)} | {"width": max(float((high - low) / (BUMPS - 1)) * 0.7, 1e-3)}
+    shape = {}
+    for count in (NARROW, WIDE):
+        width = max(float((high - low) / (count - 1)) * 0.7, 1e-3)
+        for centre in np.linspace(low, high, count):
+            number = len(shape) // 2
+            shape |= {f"centre_{number}": float(centre), f"width_{number}": width}
     model = problem.robot.model
     others = [int(model.jnt_dofadr[model.joint(name).id]) for name in problem.joints if name != joint]
     names = list(FEATURES)
-    names += [f"{kind}_at_{i}" for kind in BUMPED for i in range(BUMPS)]
+    names += [f"{kind}_at_{i}" for kind in BUMPED for i in range(NARROW + WIDE)]
     crossed = ("other_angle", "direction_other", "other_speed", "speed_product", "speed_other")
     names += [f"{kind}_at_{dof}" for kind in crossed for dof in others]
     names += [f"{kind}_at_{seconds:g}" for kind in ("direction_recent", "speed_recent") for seconds in RECENT]
@@ -194,7 +198,7 @@ def _scales(problem: Problem, joint: str, names: Sequence[str]) -> list[float]:
     """How large each term typically is, so that coefficients are searched on a torque's scale."""
     load = max(torque_scale(problem.robot.model, joint), 1e-6)
     typical = {"load": load, "direction_load": load, "speed_load": load, "time": 10.0, "direction_time": 10.0}
-    typical |= {"error": 0.05, "error_angle": 0.05, "error_bump": 0.05, "error_drag": 0.05**2}
+    typical |= {"error": 0.05, "error_angle": 0.05, "error_drag": 0.05**2, "motor_bump": load}
     return [typical.get(name.partition("_at_")[0], 1.0) for name in names]
 
 
@@ -244,7 +248,7 @@ def _pursue(jacobian: Float[np.ndarray, "R P"], changes: Float[np.ndarray, "R F"
 
 
 def _formula(fit: Fit, placement: Placement) -> str:
-    """The torque in words and numbers [N m], q the angle, v the speed, dof numbers for other joints."""
+    """The torque in words and numbers [N m]: q angle, v speed, u command, motor its torque; dof numbers for other joints."""
     values = fit.space.mapping(fit.values)
     shape = dict(placement.fixed or {})
     terms = []
@@ -264,8 +268,8 @@ def _words(quantity: str, shape: Mapping[str, float]) -> str:
         return plain[quantity]
     kind, _, rest = quantity.partition("_at_")
     if kind.endswith("bump"):
-        bump = f"bump(q at {shape['centre_' + rest]:.2f} rad, width {shape['width']:.2f})"
-        before = {"direction_bump": "sign(v) ", "speed_bump": "v ", "error_bump": "(u - q) "}.get(kind, "")
+        bump = f"bump(q at {shape['centre_' + rest]:.2f} rad, width {shape['width_' + rest]:.2f})"
+        before = {"direction_bump": "sign(v) ", "speed_bump": "v ", "motor_bump": "motor "}.get(kind, "")
         return f"{before}{bump}"
     if kind.endswith("recent"):
         lately = f"mean |v| of the last {rest} s"

@@ -3,8 +3,6 @@
 Source: Hansen, The CMA Evolution Strategy: A Tutorial, 2016 (CMA-ES by `cma`).
 """
 
-from dataclasses import replace
-
 import cma
 import numpy as np
 
@@ -12,13 +10,12 @@ from edream.core.parameters import targets_in
 from edream.diagnosis.candidates import Candidate, can_act, library, placement, probes_of
 from edream.diagnosis.descent import Fit, begin, descend
 from edream.diagnosis.problem import Problem
-from edream.diagnosis.screen import acts_already, extend, fits_beside, with_quantities
-from edream.sim.objective import Objective, rms
+from edream.diagnosis.screen import acts_already, extend, fits_beside, lightened, with_quantities
+from edream.sim.objective import rms
 
 GENERATIONS, CHILDREN = 14, 16
 WIDE = 0.05  # of a parameter's range: the first standard deviation where no prior is narrower
 HOPELESS = 0.5  # of the least gain that counts, to be there before all numbers go down together
-ENOUGH = 30.0  # s of motion that a search needs
 
 
 def rough_candidates(problem: Problem, fit: Fit) -> list[Candidate]:
@@ -38,7 +35,7 @@ def searched(problem: Problem, fit: Fit, candidate: Candidate) -> Fit | None:
     """
     place = placement(problem, candidate)
     extended, absent = extend(fit, [place])
-    space, few = extended.simulated.space, brief(extended)
+    space, (few, _) = extended.simulated.space, extend(lightened(problem, fit), [place])
     own = np.array([candidate.targets[0] in targets_in(name) for name in space.names])
     probes = probes_of(problem, place)
     sets = np.array([with_quantities(extended, absent, [place], [probe]) for probe in probes])
@@ -59,9 +56,3 @@ def searched(problem: Problem, fit: Fit, candidate: Candidate) -> Fit | None:
     best = start.copy()
     best[own] = np.clip(np.array(strategy.result.xbest, dtype=float), 0.0, 1.0)
     return descend(begin(extended, best), None, 4)
-
-
-def brief(objective: Objective) -> Objective:
-    """The objective on every so-many-th of its motions."""
-    seconds = sum(float(window.times[-1]) for window in objective.windows)
-    return replace(objective, windows=objective.windows[:: max(1, int(seconds // ENOUGH))], simulations=0)

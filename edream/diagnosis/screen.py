@@ -25,13 +25,14 @@ from edream.diagnosis.candidates import Candidate, acted_on, alike, groups_of, l
 from edream.diagnosis.descent import Fit
 from edream.diagnosis.problem import Problem
 from edream.diagnosis.side_by_side import side_by_side
+from edream.diagnosis.steps import with_long_steps
 from edream.sim.objective import Objective
 from edream.sim.simulation import Placement, SimulatedRobot, write_fields
 
 FINALISTS = 16
 WORTH_A_LOOK = 0.002  # share
 TOGETHER = 1.2  # times the share of the best single joint, from which several that are not tied are tried as one
-ENOUGH = 40.0  # s of motion that a score test needs
+ENOUGH = 25.0  # s of motion that a score test and first steps need
 SCANNED = 20.0  # s of motion that tells lengths of waves
 Unexplained = Callable[[Float[np.ndarray, "N R"]], Float[np.ndarray, "N"]]
 log = logging.getLogger(__name__)
@@ -56,7 +57,7 @@ class Scored:
 
 def screen(problem: Problem, fit: Fit, done: Callable[[int], object] = lambda n: None) -> list[Scored]:
     """Every effect at every place, best first. Calls `done(n)` as n rounds are finished."""
-    fit = thinned(fit, ENOUGH)
+    fit = lightened(problem, fit)
     unexplained = unexplained_by(fit)
     total = float(unexplained(fit.residual[None])[0])
     present = fit.objective.simulated.placements
@@ -78,15 +79,23 @@ def screen(problem: Problem, fit: Fit, done: Callable[[int], object] = lambda n:
     return out
 
 
+def lightened(problem: Problem, fit: Fit) -> Fit:
+    """The fit as first looks need it: on a few of its motions, in steps as long as the published ones."""
+    return with_long_steps(problem, thinned(fit, ENOUGH))
+
+
 def thinned(fit: Fit, seconds: float) -> Fit:
-    """The fit on every so-many-th of its motions, so that they last about `seconds` together and no less."""
+    """The fit on those of its motions that are off most, as few as last `seconds` together: there a missing effect shows."""
     windows = fit.objective.windows
-    every = int(sum(float(window.times[-1]) for window in windows) // seconds)
-    if every < 2:
+    off = np.bincount(fit.objective.owner, fit.residual**2)
+    order = np.argsort(-off, kind="stable")
+    lasted = np.cumsum([float(windows[int(i)].times[-1]) for i in order])
+    kept = np.sort(order[: int(np.searchsorted(lasted, seconds)) + 1])
+    if len(kept) == len(windows):
         return fit
-    kept = np.arange(0, len(windows), every)
     rows = np.isin(fit.objective.owner, kept)
-    objective = replace(fit.objective, windows=[windows[int(i)] for i in kept], simulations=0)
+    offset = None if fit.objective.offset is None else fit.objective.offset[rows]
+    objective = replace(fit.objective, windows=[windows[int(i)] for i in kept], simulations=0, offset=offset)
     return replace(fit, objective=objective, residual=fit.residual[rows], jacobian=fit.jacobian[rows])
 
 

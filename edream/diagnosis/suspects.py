@@ -6,13 +6,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from edream.core.parameters import targets_in
-from edream.diagnosis.candidates import Candidate, acted_on
+from edream.diagnosis.candidates import Candidate, acted_on, confused_with
 from edream.diagnosis.descent import Fit, begin, cost, descend, polish
 from edream.diagnosis.left_out import left_out_errors
 from edream.diagnosis.problem import Problem, nuisance_placements
 from edream.diagnosis.screen import Scored, screen
 from edream.diagnosis.side_by_side import side_by_side
-from edream.diagnosis.trials import Trial, judged, refit
+from edream.diagnosis.trials import Trial, judged, placed_at, refit
 from edream.sim.simulation import SimulatedRobot
 
 EVIDENCE = 4.0  # by how much the cost (-2 log posterior) must fall
@@ -59,10 +59,32 @@ def find_suspects(
     strange = strangeness(believing, strange_names)
     if strange < EVIDENCE:
         return []
-    errors, threads = left_out_errors(problem, fit), problem.settings.threads
+    errors = left_out_errors(problem, fit)
     joints = frozenset(joint for name in strange_names for joint in targets_in(name))
+
+    def relieving(likely: Sequence[Scored]) -> list[Suspect]:
+        trials = refitted_at_home(problem, believing, errors, likely, done)
+        return [
+            Suspect(trial.candidate, trial.fit, relief)
+            for trial in trials
+            if (relief := relief_by(believing, trial.fit)) > EVIDENCE
+            and strange - strangeness(trial.fit, strange_names) > HOMEWARD * strange
+            and np.sqrt(trial.errors.mean()) < AS_GOOD * np.sqrt(errors.mean())
+        ]
+
     likely = one_each(screen(problem, believing, done), joints)[:REFITTED]
-    trials = []
+    found = sorted(relieving(likely), key=lambda s: -s.relief)
+    if found:  # no twin of the best one goes unheard
+        twins = placed_at(problem, believing, found[0].candidate.targets, confused_with(problem, found[0].candidate.effect))
+        found += relieving([one for one in twins if one.candidate not in [s.candidate for s in likely]])
+    return sorted(found, key=lambda s: -s.relief)
+
+
+def refitted_at_home(
+    problem: Problem, believing: Fit, errors: np.ndarray, likely: Sequence[Scored], done: Callable[[int], object]
+) -> list[Trial]:
+    """Candidates refitted beside published numbers that are believed, those that relieve most patiently."""
+    threads, trials = problem.settings.threads, []
     for trial in side_by_side(lambda one: refit(problem, believing, errors, one), likely, threads):
         trials.append(trial)
         done(1)
@@ -73,12 +95,7 @@ def find_suspects(
         slow = relief_by(believing, trial.fit) >= PROMISING * most
         return judged(problem, descend(trial.fit, None, PATIENTLY), errors, trial) if slow else trial
 
-    found = []
-    for trial in side_by_side(gone_home, trials, threads):
-        relief, home = relief_by(believing, trial.fit), strange - strangeness(trial.fit, strange_names)
-        if relief > EVIDENCE and home > HOMEWARD * strange and np.sqrt(trial.errors.mean()) < AS_GOOD * np.sqrt(errors.mean()):
-            found.append(Suspect(trial.candidate, trial.fit, relief))
-    return sorted(found, key=lambda s: -s.relief)
+    return list(side_by_side(gone_home, trials, threads))
 
 
 def one_each(scored: Sequence[Scored], joints: frozenset[str]) -> list[Scored]:

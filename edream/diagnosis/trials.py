@@ -18,21 +18,22 @@ from edream.diagnosis.screen import (
     acts_already,
     extend,
     fits_beside,
+    lightened,
     scaled_probe,
     thinned,
     unexplained_by,
     with_quantities,
 )
 from edream.diagnosis.side_by_side import side_by_side
+from edream.diagnosis.steps import with_long_steps
 from edream.sim.differences import STEP
 from edream.sim.least_squares import worth
 from edream.sim.objective import Objective, rms
 from edream.sim.simulation import Placement, SimulatedRobot
 
-REFITTED, GROUPS, FINISHED = 8, 4, 6
+REFITTED, GROUPS, FINISHED = 8, 4, 4
 LIKELIEST = 3  # by the score test: they are refitted on whole motions even where candidates are tried boldly
 HOPELESS = 0.4  # of the best candidate's gain after two steps: those below are not refitted to the end
-FEW = 25.0  # s of motion on which larger models are tried boldly
 HALF = 0.5  # of the gap: a candidate that closes less of a real one may be a stand-in
 SERIOUS_SHARE = 0.01
 STRONG = 5.0  # probes
@@ -80,7 +81,7 @@ def try_best(
     serious = [s for s in scored if s.share >= SERIOUS_SHARE]
     # one set of numbers for a hardware group rests on all its joints, which the test of single joints undervalues
     groups = [s for s in serious if len(s.candidate.targets) > 1][:GROUPS]
-    few, threads = on_few(fit), problem.settings.threads
+    few, threads = on_few(problem, fit), problem.settings.threads
     tried = [*serious[:REFITTED], *(s for s in groups if s not in serious[:REFITTED])]
     begun = []
     for near, one in zip(side_by_side(lambda one: refitted(problem, few, one, iterations=2), tried, threads), tried, strict=True):
@@ -93,19 +94,20 @@ def try_best(
     return sorted(trials, key=lambda t: -t.closed)
 
 
-def on_few(fit: Fit) -> Fit:
-    """The fit on as much motion as shows which candidates are worth a search; on all of it, where that costs little."""
-    return fit if is_small(fit) else thinned(fit, ENOUGH)
+def on_few(problem: Problem, fit: Fit) -> Fit:
+    """The fit on as much motion as shows which candidates are worth a search, in long steps; as it is where that costs little."""
+    return fit if is_small(fit) else lightened(problem, fit)
 
 
 def gone_on(fit: Fit, near: Fit, joints: frozenset[str] = frozenset()) -> Fit:
-    """A candidate's first steps beside `fit` taken on, on all of its motions; they may have been taken on a few.
+    """A candidate's first steps beside `fit` taken on, on all of its motions; they may have been taken on a few, in longer steps.
 
     The usual numbers of `joints` are differenced with the candidate's own.
     """
     own = fresh_columns(fit, near.objective) | of_joints(near.objective, joints)
-    if len(near.residual) < len(fit.residual):
-        whole = replace(fit.objective, simulated=near.objective.simulated, simulations=0)
+    if len(near.residual) < len(fit.residual) or near.objective.offset is not None:
+        simulated = fit.objective.simulated.with_placements(near.objective.simulated.placements)
+        whole = replace(fit.objective, simulated=simulated, simulations=0)
         near = with_column(fit, whole, near.values, own)
     return descend(near, own, iterations=4)
 
@@ -115,8 +117,7 @@ def try_boldly(
 ) -> list[Trial]:
     """Candidates, each from the best of several starts, on short stretches first; the best ones all the way."""
     small = is_small(fit)
-    few = fit if small else thinned(fit, FEW)
-    brief = begin(replace(few.objective, windows=stretches(few), simulations=0), fit.unit)
+    brief = on_stretches(problem, fit if small else thinned(fit, ENOUGH))
 
     def roughly(one: Scored) -> tuple[Fit, Scored]:
         place = placement(problem, one.candidate)
@@ -126,28 +127,34 @@ def try_boldly(
         near = int(np.argmin(left))
         if near < len(starts):
             return descend(with_column(brief, extended, starts[near]), fresh_columns(brief, extended), 3), one
-        # columns from the numbers that were fitted say little there
-        unit = extended.simulated.space.to_unit(plain[near - len(starts)])
-        return descend(begin(extended, np.clip(unit, 0.0, 1.0)), None, 3), one
+        return descend_beside_published(brief, extended, plain[near - len(starts)], one.candidate, 3), one
 
     def wholly(found: tuple[Fit, Scored]) -> Trial:
         begun, one = found
         near = descend(begun, None, iterations=6)
         extended, _ = extend(fit, [placement(problem, one.candidate)])
-        return judged(problem, descend(begin(extended, near.unit), None, iterations=4), errors, one)
+        start = np.clip(extended.simulated.space.to_unit(near.values), 0.0, 1.0)
+        return judged(problem, descend(begin(extended, start), None, iterations=4), errors, one)
 
     rough = []
     for found in side_by_side(roughly, places, problem.settings.threads):
         rough.append(found)
         done(1)
     rough.sort(key=lambda found: found[0].rms)
-    gained = [1.0 - (near.rms / brief.rms) ** 2 for near, _ in rough[:REFITTED]]
+    gained = [1.0 - (near.rms / brief.rms) ** 2 for near, _ in rough[: REFITTED if small else LIKELIEST]]
     count = next((n for n, gain in enumerate(gained) if gain < HOPELESS * gained[0]), len(gained))
     trials = []
     for trial in side_by_side(wholly, rough[: max(count, GROUPS if small else 1)], problem.settings.threads):
         trials.append(trial)
         done(1)
     return sorted(trials, key=lambda t: -t.closed)
+
+
+def on_stretches(problem: Problem, fit: Fit) -> Fit:
+    """The fit on its motions cut into short stretches, whose errors have few false valleys; in the published steps."""
+    objective = replace(fit.objective, windows=stretches(fit), simulations=0)
+    there = replace(fit, objective=objective, residual=objective.residuals(fit.values)[0])
+    return begin(with_long_steps(problem, there).objective, fit.unit)
 
 
 def nearer_beside_published(problem: Problem, fit: Fit, places: Sequence[Scored]) -> list[Scored]:
@@ -243,10 +250,20 @@ def refitted(problem: Problem, fit: Fit, scored: Scored, iterations: int, joints
         plain = beside_published(problem, place, extended, absent)
         away = [rms(r) for r in extended.residuals(np.array([starts[best], *plain]))]
         if min(away) < away[0]:
-            near = extended.simulated.space.to_unit(plain[int(np.argmin(away)) - 1])
-            return descend(begin(extended, np.clip(near, 0.0, 1.0)), None, iterations)
+            return descend_beside_published(fit, extended, plain[int(np.argmin(away)) - 1], scored.candidate, iterations)
     fresh = fresh_columns(fit, extended) | of_joints(extended, joints)
     return descend(with_column(fit, extended, starts[best], fresh), fresh, iterations)
+
+
+def descend_beside_published(
+    fit: Fit, extended: Objective, start: Float[np.ndarray, "P"], candidate: Candidate, iterations: int
+) -> Fit:
+    """A candidate gone down from beside its joints' published numbers, where columns that were fitted without it say little."""
+    joints = acted_on(candidate)
+    if not joints:  # all joints' numbers are the published ones
+        return descend(begin(extended, np.clip(extended.simulated.space.to_unit(start), 0.0, 1.0)), None, iterations)
+    fresh = fresh_columns(fit, extended) | of_joints(extended, joints)
+    return descend(with_column(fit, extended, start, fresh), fresh, iterations)
 
 
 def shapes(problem: Problem, place: Placement, start: Mapping[str, float]) -> list[dict[str, float]]:

@@ -11,7 +11,7 @@ from edream.catalog import load
 from edream.core.effect import Effect
 from edream.core.parameters import Parameter
 from edream.diagnosis.candidates import Candidate, placement
-from edream.diagnosis.decide import ALIKE, REAL_GAP, Round, backward, forward, rivals
+from edream.diagnosis.decide import ALIKE, REAL_GAP, Round, backward, falls_short, forward, is_real, rivals
 from edream.diagnosis.descent import Fit, polish
 from edream.diagnosis.left_out import bootstrap, left_out_errors, proof_errors
 from edream.diagnosis.nuisance import fit_nuisance, published, with_shares
@@ -24,7 +24,6 @@ from edream.sim.objective import rms
 from edream.sim.simulation import unit_at
 
 CLOSED = 0.9  # share of the gap, in root-mean-square error, from which what is left is not worth a formula
-ENOUGH = 0.5  # share of the squared gap that named effects must close, or what is left has no name
 AS_GOOD = 1.1  # times the error of names and a formula that a formula alone may have and be preferred
 
 Verdict = Literal["named", "none", "cannot_tell", "unnamed"]
@@ -107,21 +106,20 @@ def diagnose(problem: Problem, done: Callable[[str, int], object] = lambda text,
     fit, kept = backward(problem, fit, [t.candidate for t in taken])
     trials = [t for t in taken if t.candidate in kept]
     effects = [_named(problem, fit, t, rounds, trials) for t in trials]
-    suspects: list[Suspect] = []
-    if not trials and strange_numbers(problem, fit):
-        # a search that ends near enough knows less of valleys, and calls its numbers surer than they are
-        fit = most_ordinary(problem, polish(fit))
-    if not trials and (numbers := off_nominal(problem, fit)):
-        strange = [placement(problem, Candidate(n.name, n.targets)).full_name(q) for n in numbers for q in n.values]
-        suspects = find_suspects(problem, fit, strange, lambda n: done("looking behind strange numbers", n))
-        effects = with_suspects(problem, numbers, suspects)
     left = left_out_errors(problem, fit) if trials else rounds[0].errors
-    remainder = unexplained(problem, before, fit, rounds[0].errors, left, trials)
-    done("remainder", 1)
     gap = max(rms(np.sqrt(rounds[0].errors)), rms(ladder[1][1])) / problem.floor
     short = falls_short(problem, rounds[0].errors, left) if trials else gap > REAL_GAP
-    if short and not trials:
-        effects = []  # numbers that are strange beside a real gap have made up for it; they are not what is missing
+    suspects: list[Suspect] = []
+    # numbers that are strange beside a real gap have made up for it; they are not what is missing
+    if not trials and not short and strange_numbers(problem, fit):
+        # a search that ends near enough knows less of valleys, and calls its numbers surer than they are
+        fit = most_ordinary(problem, polish(fit))
+        if numbers := off_nominal(problem, fit):
+            strange = [placement(problem, Candidate(n.name, n.targets)).full_name(q) for n in numbers for q in n.values]
+            suspects = find_suspects(problem, fit, strange, lambda n: done("looking behind strange numbers", n))
+            effects = with_suspects(problem, numbers, suspects)
+    remainder = rounds[0].formula or unexplained(problem, before, fit, rounds[0].errors, left, trials)
+    done("remainder", 1)
     verdict, possible = judge(effects, remainder, short), contenders(fit, trials, effects, rounds, suspects)
     if remainder is not None:
         fit = remainder.fit
@@ -274,7 +272,7 @@ def unexplained(
     `first` and `left` are the errors on motions left out, without the named effects and with them.
     """
     start, end, floor = float(first.mean()), float(left.mean()), problem.floor**2
-    if np.sqrt(end) <= REAL_GAP * problem.floor:
+    if not is_real(problem, left):
         return None
     closed = bool(trials) and np.sqrt(start) - np.sqrt(end) >= CLOSED * (np.sqrt(start) - problem.floor)
     if not closed:
@@ -292,12 +290,6 @@ def unexplained(
         return None
     better, _ = bootstrap(left - alone.errors, problem.settings.seed)
     return alone if better > 0.0 and float(alone.errors.mean()) - floor < 0.5 * (end - floor) else None
-
-
-def falls_short(problem: Problem, first: Float[np.ndarray, "M"], left: Float[np.ndarray, "M"]) -> bool:
-    """Whether the named effects close less than half of a real gap and leave one: then what is missing has not been found."""
-    start, end, floor = float(first.mean()), float(left.mean()), problem.floor**2
-    return end > REAL_GAP**2 * floor and start - end < ENOUGH * (start - floor)
 
 
 def judge(effects: Sequence[Named], remainder: Remainder | None, short: bool) -> Verdict:

@@ -25,6 +25,7 @@ class Objective:
         stride: every how many measurements one counts.
         threads: simulation threads, 0 for all.
         simulations: windows simulated so far, over all calls.
+        offset: what is added to every residual [rad], such as what shorter steps would make of it, (R,); None for nothing.
     """
 
     simulated: SimulatedRobot
@@ -33,6 +34,7 @@ class Objective:
     stride: int = 1
     threads: int = 0
     simulations: int = field(default=0)
+    offset: Float[np.ndarray, "R"] | None = None
 
     @cached_property
     def measured(self) -> list[Float[np.ndarray, "T J"]]:
@@ -64,7 +66,8 @@ class Objective:
         self.simulations += len(values) * len(self.windows)
         simulated = rollout(self.simulated.swift, values, self.windows, self.threads)
         parts = [(self._chosen(s) - m).reshape(len(values), -1) for s, m in zip(simulated, self.measured, strict=True)]
-        return np.nan_to_num(np.concatenate(parts, axis=1), nan=UNSTABLE_RESIDUAL)
+        residuals = np.nan_to_num(np.concatenate(parts, axis=1), nan=UNSTABLE_RESIDUAL)
+        return residuals if self.offset is None else residuals + self.offset
 
     def per_window(self, residual: Float[np.ndarray, "R"]) -> list[Float[np.ndarray, "T J"]]:
         """One residual vector as (time, joint) arrays, one a window."""

@@ -9,7 +9,7 @@ from benchmarks.blind.cases import robot_of
 from edream.core.errors import EdreamError
 from edream.core.parameters import Parameter
 from edream.diagnosis.candidates import Candidate, alike, groups_of, placement
-from edream.diagnosis.decide import comes_down_to, refitted_without, rivals, simplest, stands, told_apart
+from edream.diagnosis.decide import comes_down_to, falls_short, refitted_without, rivals, simplest, stands, told_apart
 from edream.diagnosis.descent import Fit, begin, descend
 from edream.diagnosis.left_out import left_out_errors
 from edream.diagnosis.nuisance import fit_nuisance, published
@@ -17,7 +17,6 @@ from edream.diagnosis.problem import Problem, Settings, credible, measurement_no
 from edream.diagnosis.remainder import chosen_terms
 from edream.diagnosis.rough import rough_candidates, searched
 from edream.diagnosis.screen import (
-    ENOUGH,
     Scored,
     acts_already,
     extend,
@@ -29,7 +28,7 @@ from edream.diagnosis.screen import (
     worthwhile,
 )
 from edream.diagnosis.trials import Trial, as_published
-from edream.diagnosis.verdict import Named, falls_short, is_strange, judge, sentence
+from edream.diagnosis.verdict import Named, is_strange, judge, sentence
 from edream.sim.rollout import rollout
 from edream.sim.simulation import SimulatedRobot
 from tests.still_problem import NOISE, commanded, having
@@ -156,13 +155,19 @@ def test_each_effect_is_heard_on_one_joint_and_on_a_group() -> None:
     assert not any(one in heard for one in silent)
 
 
-def test_a_score_test_on_every_other_motion_keeps_their_rows(fit: Fit) -> None:
-    total = sum(float(window.times[-1]) for window in fit.objective.windows)
-    assert thinned(fit, ENOUGH) is fit or total > 2 * ENOUGH
+def test_a_score_test_on_a_few_motions_looks_at_those_that_are_off_most(fit: Fit) -> None:
+    windows, owner = fit.objective.windows, fit.objective.owner
+    total = sum(float(window.times[-1]) for window in windows)
+    assert thinned(fit, total) is fit
+    off = np.bincount(owner, fit.residual**2)
     less = thinned(fit, total / 2.5)
-    assert less.objective.windows == [fit.objective.windows[i] for i in range(0, len(fit.objective.windows), 2)]
+    kept = [windows.index(window) for window in less.objective.windows]
+    assert kept == sorted(kept) and 1 < len(kept) < len(windows)
+    assert off[kept].min() >= np.delete(off, kept).max()
     np.testing.assert_allclose(less.objective.residuals(fit.values)[0], less.residual, atol=1e-12)
     assert less.jacobian.shape == (len(less.residual), len(fit.unit))
+    shifted = replace(fit, objective=replace(fit.objective, offset=np.arange(len(fit.residual), dtype=float)))
+    np.testing.assert_array_equal(thinned(shifted, total / 2.5).objective.offset, np.flatnonzero(np.isin(owner, kept)))
 
 
 def test_a_real_gap_that_nothing_explains_is_not_called_agreement() -> None:

@@ -78,14 +78,14 @@ def weakened(robot: RobotModel, seed: int) -> Episode:
     return played(robot, rng, 0.8 * np.sin(phase) * [1.0, 0.9], missing)
 
 
-def test_a_servo_that_is_weak_at_one_place_is_described_by_its_error_there() -> None:
+def test_a_servo_that_is_weak_at_one_place_is_described_by_its_torque_there() -> None:
     robot = robot_of("pan_tilt")
     assert robot is not None
     problem = prepare(robot, [weakened(robot, seed) for seed in range(6)], Settings())
     fit = fit_nuisance(problem)
     found = find_remainder(problem, fit)
     assert found is not None and found.real and found.joint == "tilt"
-    assert "(u - q) bump(q at " in found.formula
+    assert "motor bump(q at " in found.formula
     assert found.errors.mean() < 0.1 * left_out_errors(problem, fit).mean(), "a third of the error, on motions left out"
 
 

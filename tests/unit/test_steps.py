@@ -6,12 +6,16 @@ import mujoco
 import numpy as np
 import pytest
 
+from edream.diagnosis.candidates import Candidate, placement
 from edream.diagnosis.descent import Fit
 from edream.diagnosis.nuisance import fit_nuisance
 from edream.diagnosis.problem import Problem
-from edream.diagnosis.steps import in_continuous_time, may_tell, moved, with_short_steps
+from edream.diagnosis.screen import extend, with_quantities
+from edream.diagnosis.steps import in_continuous_time, may_tell, moved, with_long_steps, with_short_steps
+from edream.diagnosis.trials import gone_on
 from edream.diagnosis.verdict import on_steps, strange_numbers
 from edream.sim.emit import emit
+from edream.sim.objective import rms
 from edream.sim.robot import RobotModel
 from edream.sim.simulation import SimulatedRobot
 from tests.still_problem import fit_of, pan_tilt, still_problem
@@ -69,6 +73,28 @@ def test_steps_are_halved_where_that_closes_a_visible_error(coarse: tuple[Proble
     made = emit(found.objective.simulated, found.values)
     assert mujoco.MjModel.from_xml_string(made.mjcf).opt.timestep == shorter.robot.step
     assert "timestep" in made.difference
+
+
+def test_first_looks_in_the_published_steps_see_what_shorter_ones_would(coarse: tuple[Problem, Fit]) -> None:
+    problem, fit = with_short_steps(*coarse)
+    quick = with_long_steps(problem, fit)
+    assert quick.objective.simulated.model.opt.timestep == 0.002
+    np.testing.assert_allclose(quick.objective.residuals(fit.values)[0], fit.residual, atol=1e-12)
+    place = placement(problem, Candidate("constant_torque", ("tilt",)))
+    moved_by = []
+    for one in (fit, quick):
+        extended, absent = extend(one, [place])
+        there, here = extended.residuals(np.array([with_quantities(extended, absent, [place], [{"torque": 0.1}]), absent]))
+        moved_by.append(there - here)
+    assert rms(moved_by[1] - moved_by[0]) < 0.1 * rms(moved_by[0])
+    begun = replace(quick, objective=extend(quick, [place])[0])  # a candidate's first steps; the next ones are short again
+    with_it = replace(begun, unit=np.append(fit.unit, 0.5), jacobian=np.zeros((len(fit.residual), len(fit.unit) + 1)))
+    assert gone_on(fit, with_it).objective.simulated.model.opt.timestep == problem.robot.step
+    assert gone_on(fit, with_it).objective.offset is None
+
+
+def test_steps_that_were_not_shortened_are_as_long_as_they_may_be(fit: Fit, problem: Problem) -> None:
+    assert with_long_steps(problem, fit) is fit
 
 
 def test_steps_stay_as_they_are_where_recordings_were_made_with_them(fit: Fit, problem: Problem) -> None:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from edream.core.parameters import targets_in
-from edream.diagnosis import decide, left_out, trials, verdict
+from edream.diagnosis import candidates, decide, left_out, trials, verdict
 from edream.diagnosis.candidates import Candidate, placement
 from edream.diagnosis.nuisance import fit_nuisance
 from edream.diagnosis.problem import Settings, prepare
@@ -71,9 +71,9 @@ def test_what_the_best_one_is_confused_with_is_heard_where_that_one_acts(
     best = replace(_trial("torque_speed_limit", 0.9), fit=SimpleNamespace(rms=1.0))
     drag = replace(_trial("quadratic_drag", 0.1), candidate=Candidate("quadratic_drag", (tried,)))
     effects = [SimpleNamespace(name=name, confusable=()) for name in ("quadratic_drag", "payload")]
-    monkeypatch.setattr(decide, "library", lambda problem: effects)
+    monkeypatch.setattr(candidates, "library", lambda problem: effects)
     monkeypatch.setattr(decide, "passes", lambda problem, t: t.closed > 0.5)
-    monkeypatch.setattr(decide, "on_few", lambda fit: fit)
+    monkeypatch.setattr(decide, "on_few", lambda problem, fit: fit)
     monkeypatch.setattr(
         decide, "placed_at", lambda problem, fit, targets, known: [Scored(Candidate(e.name, targets), {}, 0.0) for e in known]
     )
@@ -226,3 +226,23 @@ def test_beside_a_lag_the_numbers_of_its_joint_are_differenced_anew() -> None:
     lag = Scored(Candidate("actuator_lag", ("tilt",)), {"time": 0.01}, 0.3)
     stale, fresh = (trials.refitted(problem, fit, lag, 3, joints) for joints in (frozenset(), frozenset({"tilt"})))
     assert fresh.rms < problem.floor < stale.rms
+
+
+@pytest.mark.parametrize(
+    ("name", "formula", "outdone"),
+    [(18.0, 6.0, True), (18.0, 16.0, False), (10.0, 1.2, False), (None, 6.0, True), (None, None, False)],
+)
+def test_a_formula_goes_before_a_name_that_closes_little_of_a_real_gap(
+    monkeypatch: pytest.MonkeyPatch, name: float | None, formula: float | None, outdone: bool
+) -> None:
+    """What each leaves of a gap of five floors, squared; None where there is no such thing."""
+    problem = SimpleNamespace(floor=1.0, settings=SimpleNamespace(seed=0))
+    names = [] if name is None else [replace(_trial("backlash", 0.3), errors=np.full(6, name))]
+    found = None if formula is None else SimpleNamespace(real=True, errors=np.full(6, formula))
+    monkeypatch.setattr(decide, "find_remainder", lambda problem, fit: found)
+    assert decide.outdone(problem, None, np.full(6, 25.0), names) is (found if outdone else None)
+
+
+def test_no_formula_is_looked_for_where_no_gap_is_worth_a_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(decide, "find_remainder", lambda problem, fit: pytest.fail("a small gap"))
+    assert decide.outdone(SimpleNamespace(floor=1.0), None, np.full(6, 2.0), []) is None
