@@ -47,6 +47,7 @@ DISTINCT = 0.5  # of the floor squared, or of the error where that is larger
 FEWEST = 3  # motions that a difference may rest on
 BOUND = 1e-3  # of the unit box: nearer, a number sits at its bound
 ROUNDING = 1e-9  # a bound of a box that went through its logarithm
+TWIN_STEPS = 6  # of a twin, whose joint's numbers have made up for it: a lag beside damping and inertia goes slowly
 CLEARLY = 0.75  # of what a stand-in leaves
 STAND_INS = 2  # names that together close less than half of a real gap: no further one is looked for
 REAL_GAP = 1.8  # how many floors of left-out error are a gap worth a name
@@ -317,7 +318,7 @@ def with_confusable(
 
     def heard(one: Scored) -> Trial | None:
         joints = acted_on(one.candidate)
-        begun = refitted(problem, few, one, iterations=3, joints=joints)
+        begun = refitted(problem, few, one, iterations=TWIN_STEPS, joints=joints)
         hopeful = 1.0 - (begun.rms / few.rms) ** 2 >= HOPELESS * most
         return judged(problem, gone_on(fit, begun, joints), errors, one) if hopeful else None
 
