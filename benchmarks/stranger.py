@@ -17,7 +17,7 @@ import mujoco
 import numpy as np
 
 STEP = 0.00025  # s
-SLIP = 1e-4  # rad (m) of a bristle before it slips
+SLIP, SLIDING = 1e-4, 1e-5  # rad (m) of a bristle before it slips, of a joint that turns (slides)
 CLEARANCE = 0.01  # m
 EFFECTS = {
     "stribeck": "torque [N m] above the dry friction at rest, speed [rad/s]",
@@ -153,7 +153,7 @@ class World:
             error = self._commanded(command[max(k - late, 0) // hold]) - q
             torque = np.clip(self._served(error, v), self.least, self.most)
             torque, slip = self._hidden(torque, q, v, max(k, 0) * STEP)
-            stiffness = self.slip / SLIP
+            stiffness = self.slip / np.where(self.turns, SLIP, SLIDING)
             bristle = np.clip(bristle + v * STEP, -slip / stiffness, slip / stiffness)
             stuck = np.abs(bristle) < 0.999 * slip / stiffness
             data.qfrc_applied[self.dof] = torque - stiffness * bristle - 0.02 * np.sqrt(stiffness * self.rotor) * v * stuck
