@@ -75,17 +75,18 @@ policy-paper: .venv/ready
 # The paper's table at the tiny size: four tasks, SFT with three views, SFT with one, RL with one. Then the ablation: RL under physics as
 # published, calibrated, and calibrated with the effects that diagnosis found, on one robot that hides four, by policies that read poses and not
 # images (state mode): one that sees its hand makes up for a simulator that has it elsewhere. Hours on 2 cores, but it can be stopped at any
-# time: called again, it goes on. One task or less: make policy-table TASKS=put_cup_on_mat ROWS='["sft","rl"]'.
+# time: called again, it goes on. One task or less: make policy-table TASKS=put_cup_on_mat ROWS='["sft","rl"]'. Another hidden robot and other
+# demonstrations: make policy-table SEED=2 TABLE=runs/policy-table-2.
 TABLE := runs/policy-table
 TASKS ?= grab_paper_cup put_pen_in_cup put_remote_in_box put_cup_on_mat
 ROWS ?= ["sft policy.cameras=[cam_high,cam_side,wrist] sft.twins=false","sft","rl"]
 STARTS ?= 500
 PHYSICS ?= ["sft","rl rollouts.model=published","rl","rl rollouts.model=diagnose"]
-LEARN = $(RUN)/edream train-policy robot=arm6_working ingest.fps=25 seed=1 runs=$(TABLE)/runs
+LEARN = $(RUN)/edream train-policy robot=arm6_working ingest.fps=25 seed=$(SEED) runs=$(TABLE)/runs
 BY_SIGHT = rollouts.eyes=composite sft.twins=true rank.margin=1 'policy.cameras=[cam_high]'
 BY_STATE = 'policy.cameras=[]' policy.objects=$(1).scene.json
 define demonstrated  # task, folder, further settings
-	test -f $(2).truth.json || { rm -rf $(2) $(2).*; $(RUN)/edream record robot=arm6 task=$(1) record.episodes=50 record.out=$(2) seed=1 $(3); }
+	test -f $(2).truth.json || { rm -rf $(2) $(2).*; $(RUN)/edream record robot=arm6 task=$(1) record.episodes=50 record.out=$(2) seed=$(SEED) $(3); }
 endef
 VIEWS := 'record.cell.cameras=[cam_high,cam_side,wrist]'
 HIDES := 'record.effects=[gear_ratio,gear_ratio,load_friction,actuator_delay]' 'record.at=[joint2,joint3]'
@@ -105,7 +106,7 @@ policy-physics: $(TASKS:%=policy-physics-%)
 
 policy-physics-%: .venv/ready
 	$(call demonstrated,grab_paper_cup,$(ROBOT),$(HIDES))
-	test -f $(MOVED).truth.json || { rm -rf $(MOVED); $(RUN)/edream record robot=arm6 record.truth=$(ROBOT).truth.json record.out=$(MOVED) seed=1; }
+	test -f $(MOVED).truth.json || { rm -rf $(MOVED); $(RUN)/edream record robot=arm6 record.truth=$(ROBOT).truth.json record.out=$(MOVED) seed=$(SEED); }
 	$(call demonstrated,$*,$(TABLE)/$*-hiding,record.truth=$(ROBOT).truth.json)
 	$(LEARN) $(call BY_STATE,$(TABLE)/$*-hiding) task=$* $(call BESIDE,$(TABLE)/$*-hiding) $(ON_MOTIONS) evaluate.films=0 evaluate.starts=$(STARTS) 'evaluate.of=$(PHYSICS)' run=policy-physics-$*
 
