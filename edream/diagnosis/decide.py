@@ -119,11 +119,7 @@ def outdone(problem: Problem, fit: Fit, errors: Float[np.ndarray, "M"], trials: 
     """
     best = max((t for t in trials if t.sure), key=lambda t: t.closed, default=None)
     left = errors if best is None else best.errors
-    if best is not None and not falls_short(problem, errors, left):
-        return None
-    if not is_real(problem, left):
-        return None
-    found = find_remainder(problem, fit)
+    found = find_remainder(problem, fit) if falls_short(problem, errors, left) else None
     if found is None or not found.real:
         return None
     better, _ = bootstrap(left - found.errors, problem.settings.seed)
