@@ -10,7 +10,7 @@ from edream.catalog import load
 from edream.core.effect import Effect
 from edream.diagnosis.candidates import Candidate, acted_on, confused_with, placement
 from edream.diagnosis.descent import Fit, begin, descend, polish
-from edream.diagnosis.left_out import bootstrap, is_brief, left_out_errors
+from edream.diagnosis.left_out import HALF, bootstrap, falls_short, is_brief, is_real, left_out_errors
 from edream.diagnosis.narrowing import narrowed
 from edream.diagnosis.problem import VISIBLE, Problem
 from edream.diagnosis.remainder import Remainder, find_remainder
@@ -19,7 +19,6 @@ from edream.diagnosis.screen import Scored, extend, screen
 from edream.diagnosis.side_by_side import side_by_side
 from edream.diagnosis.steps import with_short_steps
 from edream.diagnosis.trials import (
-    HALF,
     HOPELESS,
     SHAPED,
     SHAPES,
@@ -50,7 +49,6 @@ ROUNDING = 1e-9  # a bound of a box that went through its logarithm
 TWIN_STEPS = 6  # of a twin, whose joint's numbers have made up for it: a lag beside damping and inertia goes slowly
 CLEARLY = 0.75  # of what a stand-in leaves
 STAND_INS = 2  # names that together close less than half of a real gap: no further one is looked for
-REAL_GAP = 1.8  # how many floors of left-out error are a gap worth a name
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,17 +123,6 @@ def outdone(problem: Problem, fit: Fit, errors: Float[np.ndarray, "M"], trials: 
     better, _ = bootstrap(left - found.errors, problem.settings.seed)
     floor = problem.floor**2
     return found if better > 0.0 and found.errors.mean() - floor < CLEARLY * (left.mean() - floor) else None
-
-
-def is_real(problem: Problem, errors: Float[np.ndarray, "M"]) -> bool:
-    """Whether errors on motions left out are a gap that is worth a name."""
-    return float(errors.mean()) > (REAL_GAP * problem.floor) ** 2
-
-
-def falls_short(problem: Problem, first: Float[np.ndarray, "M"], left: Float[np.ndarray, "M"]) -> bool:
-    """Whether the named effects close less than half of a real gap and leave one: then what is missing has not been found."""
-    start, end, floor = float(first.mean()), float(left.mean()), problem.floor**2
-    return is_real(problem, left) and start - end < HALF * (start - floor)
 
 
 def first_that_stands(problem: Problem, fit: Fit, passing: Sequence[Trial]) -> tuple[Trial | None, Fit]:

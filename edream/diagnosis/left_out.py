@@ -15,6 +15,8 @@ CLEAR = 3.0  # floors on one joint: enough for that where fitted numbers are not
 SMALL = 10  # numbers at most, with which that costs little
 BRIEF = 120.0  # s of motion, up to which trying is cheap
 LENGTHS = (1.0, 0.5, 0.2, 0.0)  # of a step
+REAL_GAP = 1.8  # floors of error that are a gap worth a name
+HALF = 0.5  # of the squared gap: a name that closes less of a real one may be a stand-in
 ASTRAY = 1.5  # times the fit's own error: a motion left out that is so much worse may say more about the step than about the model
 
 
@@ -78,6 +80,17 @@ def bootstrap(gain: Float[np.ndarray, "M"], seed: int) -> tuple[float, float]:
     means = gain[rng.integers(0, len(gain), (DRAWS, len(gain)))].mean(axis=1)
     low, high = np.percentile(means, [2.5, 97.5])
     return float(low), float(high)
+
+
+def is_real(problem: Problem, errors: Float[np.ndarray, "M"]) -> bool:
+    """Whether errors on motions left out are a gap that is worth a name."""
+    return float(errors.mean()) > (REAL_GAP * problem.floor) ** 2
+
+
+def falls_short(problem: Problem, first: Float[np.ndarray, "M"], left: Float[np.ndarray, "M"]) -> bool:
+    """Whether the named effects close less than half of a real gap and leave one: then what is missing has not been found."""
+    start, end, floor = float(first.mean()), float(left.mean()), problem.floor**2
+    return is_real(problem, left) and start - end < HALF * (start - floor)
 
 
 def far_off(problem: Problem, fit: Fit) -> bool:

@@ -10,7 +10,7 @@ from edream.core.effect import Effect
 from edream.core.parameters import targets_in
 from edream.diagnosis.candidates import Candidate, acted_on, library, placement, probes_of, rounds
 from edream.diagnosis.descent import Fit, begin, descend, stretches
-from edream.diagnosis.left_out import bootstrap, far_off, is_small, left_out_errors
+from edream.diagnosis.left_out import HALF, bootstrap, far_off, is_small, left_out_errors
 from edream.diagnosis.problem import Problem, nuisance_placements
 from edream.diagnosis.screen import (
     ENOUGH,
@@ -34,7 +34,6 @@ from edream.sim.simulation import Placement, SimulatedRobot
 REFITTED, GROUPS, FINISHED = 8, 4, 4
 LIKELIEST = 3  # by the score test: they are refitted on whole motions even where candidates are tried boldly
 HOPELESS = 0.4  # of the best candidate's gain after two steps: those below are not refitted to the end
-HALF = 0.5  # of the gap: a candidate that closes less of a real one may be a stand-in
 SERIOUS_SHARE = 0.01
 STRONG = 5.0  # probes
 SHAPED = 1.5  # floors of error from which a winner is tried in its other shapes

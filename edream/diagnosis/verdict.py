@@ -11,9 +11,9 @@ from edream.catalog import load
 from edream.core.effect import Effect
 from edream.core.parameters import Parameter
 from edream.diagnosis.candidates import Candidate, placement
-from edream.diagnosis.decide import ALIKE, REAL_GAP, Round, backward, falls_short, forward, is_real, rivals
+from edream.diagnosis.decide import ALIKE, Round, backward, forward, rivals
 from edream.diagnosis.descent import Fit, polish
-from edream.diagnosis.left_out import bootstrap, left_out_errors, proof_errors
+from edream.diagnosis.left_out import REAL_GAP, bootstrap, falls_short, is_real, left_out_errors, proof_errors
 from edream.diagnosis.nuisance import fit_nuisance, published, with_shares
 from edream.diagnosis.problem import Problem, nuisance_placements
 from edream.diagnosis.remainder import Remainder, find_remainder

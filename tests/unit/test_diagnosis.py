@@ -9,9 +9,9 @@ from benchmarks.blind.cases import robot_of
 from edream.core.errors import EdreamError
 from edream.core.parameters import Parameter
 from edream.diagnosis.candidates import Candidate, alike, groups_of, placement
-from edream.diagnosis.decide import comes_down_to, falls_short, refitted_without, rivals, simplest, stands, told_apart
+from edream.diagnosis.decide import comes_down_to, refitted_without, rivals, simplest, stands, told_apart
 from edream.diagnosis.descent import Fit, begin, descend
-from edream.diagnosis.left_out import left_out_errors
+from edream.diagnosis.left_out import falls_short, left_out_errors
 from edream.diagnosis.nuisance import fit_nuisance, published
 from edream.diagnosis.problem import Problem, Settings, credible, measurement_noise, nuisance_placements, prepare
 from edream.diagnosis.remainder import chosen_terms
