@@ -96,12 +96,19 @@ def test_stock_mujoco_replays_the_emitted_model_as_edream_does(name: str, tmp_pa
         assert "import edream" not in made.hook and "State" not in made.hook
 
 
-TERMS = ("direction_recent_at_2", "speed_recent_at_10", "speed_other_at_0", "speed_product_at_0", "direction_bump_at_0")
+TERMS = (
+    "direction_recent_at_2",
+    "speed_recent_at_10",
+    "speed_other_at_0",
+    "speed_product_at_0",
+    "direction_bump_at_0",
+    "motor_bump_at_0",
+)
 
 
 @pytest.mark.parametrize("term", TERMS)
 def test_a_term_of_a_formula_is_emitted_as_it_was_simulated(term: str, tmp_path: Path) -> None:
-    shape = {"centre_0": 0.1, "width": 0.2} if "bump" in term else {}
+    shape = {"centre_0": 0.1, "width_0": 0.2} if "bump" in term else {}
     simulated = SimulatedRobot(ROBOT, (Placement(ResidualTorque([term], [1.0], shape), ("tilt",), fixed=shape),))
     values, windows = {simulated.space.names[0]: -0.2}, whole([motion()])
     made = emit(simulated, values)
