@@ -117,7 +117,7 @@ class World:
         self.effect, where, numbers = (*effect.split(":"), "")[:3] if effect else ("", "", "")
         self.at = self.names.index(where) if where else -1
         self.numbers = [float(x) for x in numbers.split(",")] if numbers else []
-        model.dof_armature[self.dof], model.dof_frictionloss[:], model.dof_damping[:] = self.rotor, 0.0, 0.0
+        model.dof_armature[self.dof], model.dof_frictionloss[self.dof], model.dof_damping[self.dof] = self.rotor, 0.0, 0.0
         model.actuator_gainprm[:], model.actuator_biasprm[:] = 0.0, 0.0
         model.opt.timestep, model.opt.integrator = STEP, mujoco.mjtIntegrator.mjINT_EULER
         if self.effect == "payload":
