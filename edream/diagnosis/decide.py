@@ -47,7 +47,7 @@ FEWEST = 3  # motions that a difference may rest on
 BOUND = 1e-3  # of the unit box: nearer, a number sits at its bound
 ROUNDING = 1e-9  # a bound of a box that went through its logarithm
 TWIN_STEPS = 6  # of a twin, whose joint's numbers have made up for it: a lag beside damping and inertia goes slowly
-CLEARLY = 0.75  # of what a stand-in leaves
+CLEARLY = 0.75  # of the squared error above the floor that a stand-in leaves
 STAND_INS = 2  # names that together close less than half of a real gap: no further one is looked for
 
 

@@ -1,15 +1,108 @@
-"""Which effects are heard behind strange numbers, on made-up fits."""
+"""Numbers that recordings hardly tell stay as near to the published ones as they are met as well."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from benchmarks.blind.cases import robot_of
+from edream.core.episode import Episode
 from edream.diagnosis import suspects
 from edream.diagnosis.candidates import Candidate
+from edream.diagnosis.descent import begin, polish
+from edream.diagnosis.nuisance import fit_nuisance
+from edream.diagnosis.problem import Settings, prepare
 from edream.diagnosis.screen import Scored
+from edream.diagnosis.suspects import (
+    AS_WELL_MET,
+    FLOOR_KNOWN,
+    ORDINARY,
+    brought_home,
+    most_ordinary,
+    one_each,
+    with_ordinary_numbers,
+)
 from edream.diagnosis.trials import Trial
+from edream.diagnosis.verdict import off_nominal, strange_numbers
+from edream.reality.recorder import Recorder, make_recordings
+from edream.reality.truth import draw
+
+
+def test_one_strange_number_takes_no_others_along_on_a_joint_that_nothing_loads() -> None:
+    robot = robot_of("pan_tilt")
+    assert robot is not None
+    truth = draw(robot, ["viscous"], np.random.default_rng(27), 0.3, ("pan",))
+    made = make_recordings(robot, truth, 27, 6, 5.0, Recorder())
+    episodes = [Episode(r.name, robot.joints, r.times, r.position, r.command_times, r.command) for r in made]
+    problem = prepare(robot, episodes, Settings())
+    fit = polish(fit_nuisance(problem))
+    assert len(strange_numbers(problem, fit)) > 1, "the valley must have led somewhere"
+    home = most_ordinary(problem, fit)
+    assert home.rms <= max(AS_WELL_MET * fit.rms, FLOOR_KNOWN * problem.floor)
+    assert [(one.name, one.targets) for one in off_nominal(problem, home)] == [("viscous", ("pan",))]
+    true = truth.nuisance["kd"]["pan"] + truth.nuisance["damping"]["pan"] + truth.effects[0].values["coefficient"]
+    assert home.space.mapping(home.values)["viscous.damping[pan]"] == pytest.approx(true, rel=0.1)
+
+
+def test_a_factor_that_a_whole_joint_is_off_by_goes_and_one_strange_number_stays() -> None:
+    robot = robot_of("pan_tilt")
+    assert robot is not None
+    made = make_recordings(robot, draw(robot, [], np.random.default_rng(3), 0.3, ("pan",)), 3, 6, 5.0, Recorder())
+    episodes = [Episode(r.name, robot.joints, r.times, r.position, r.command_times, r.command) for r in made]
+    problem = prepare(robot, episodes, Settings())
+    fit = fit_nuisance(problem)
+    published = {p.name: p.start for p in fit.objective.simulated.space.parameters}
+    off = {name: 1.4 * (2.0 if "armature" in name else 1.0) for name in published if name.endswith("[pan]")}
+    values = [published[name] * off.get(name, 1.0) for name in fit.space.names]
+    home = brought_home(problem, replace(fit, unit=fit.space.to_unit(np.array(values))))
+    for name, value in home.space.mapping(home.values).items():
+        factor = 2.0 if name in off and "armature" in name else 1.0
+        assert value == pytest.approx(factor * published[name], rel=1e-6), name
+
+
+def test_numbers_that_are_ordinary_one_and_all_are_preferred_where_they_cost_nothing() -> None:
+    """Nothing loads the pan: a gain 20 % too low and a damping 30 % too high pass for a usual gain and a strange damping."""
+    robot = robot_of("pan_tilt")
+    assert robot is not None
+    truth = draw(robot, [], np.random.default_rng(3), 0.3, ("pan",))
+    truth = replace(truth, nuisance={name: dict(each) for name, each in truth.nuisance.items()})
+    truth.nuisance["kp"]["pan"], truth.nuisance["kd"]["pan"], truth.nuisance["damping"]["pan"] = 0.8 * 20.0, 1.3 * 0.5, 1.3 * 0.12
+    made = make_recordings(robot, truth, 3, 6, 5.0, Recorder())
+    episodes = [Episode(r.name, robot.joints, r.times, r.position, r.command_times, r.command) for r in made]
+    problem = prepare(robot, episodes, Settings())
+    fit = fit_nuisance(problem)
+    values = [value * (1.3 if name.endswith("[pan]") else 1.0) for name, value in fit.space.mapping(fit.values).items()]
+    along = begin(fit.objective, fit.space.to_unit(np.array(values)))  # up the valley
+    assert any(one.name == "viscous" for one in strange_numbers(problem, along)), "it must look strange there"
+    home = with_ordinary_numbers(problem, along)
+    assert home.rms <= along.rms
+    found = home.space.mapping(home.values)
+    for name, published in {"servo_gain.kp[pan]": 20.0, "viscous.damping[pan]": 0.62}.items():
+        assert ORDINARY[0] * published * (1 - 1e-6) <= found[name] <= ORDINARY[1] * published * (1 + 1e-6)
+    assert most_ordinary(problem, along).rms <= along.rms * AS_WELL_MET
+    assert not strange_numbers(problem, most_ordinary(problem, along))
+
+
+def test_every_effect_is_heard_where_numbers_are_strange_once_and_links_and_the_world_too() -> None:
+    def scored(effect: str, target: str) -> Scored:
+        return Scored(Candidate(effect, (target,) if target else ()), {}, 0.1)
+
+    order = [
+        ("spring", "pan"),
+        ("spring", "tilt"),
+        ("payload", "head"),
+        ("cogging", "pan"),
+        ("spring", "tilt"),
+        ("gravity_tilt", ""),
+    ]
+    heard = one_each([scored(*one) for one in order], frozenset({"tilt"}))
+    assert [(one.candidate.effect, one.candidate.targets) for one in heard] == [
+        ("spring", ("tilt",)),
+        ("payload", ("head",)),
+        ("gravity_tilt", ()),
+    ]
+
 
 STRANGE = ["coulomb.torque[lift]"]
 RELIEF = {"directional_efficiency": 30.0, "load_friction": 40.0, "spring": 1.0}
