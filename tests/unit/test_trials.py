@@ -246,3 +246,31 @@ def test_a_formula_goes_before_a_name_that_closes_little_of_a_real_gap(
 def test_no_formula_is_looked_for_where_no_gap_is_worth_a_name(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(decide, "find_remainder", lambda problem, fit: pytest.fail("a small gap"))
     assert decide.outdone(SimpleNamespace(floor=1.0), None, np.full(6, 2.0), []) is None
+
+
+@pytest.mark.parametrize(("left", "names"), [([100.0, 90.0, 80.0, 70.0], 2), ([100.0, 90.0, 40.0, 1.0], 3)])
+def test_after_two_names_that_close_less_than_half_no_third_is_looked_for(
+    monkeypatch: pytest.MonkeyPatch, left: list[float], names: int
+) -> None:
+    """What each round begins with, in floors squared."""
+    remaining = iter(left)
+    told = {
+        "with_short_steps": lambda problem, fit: (problem, fit),
+        "left_out_errors": lambda problem, fit: np.full(6, next(remaining)),
+        "screen": lambda problem, fit, done: [],
+        "try_best": lambda problem, fit, errors, scored, done: [_trial("spring", 0.3)],
+        "with_bold": lambda problem, fit, errors, trials, done: trials,
+        "with_rough": lambda problem, fit, errors, trials, done: trials,
+        "with_confusable": lambda problem, fit, errors, scored, trials, done: trials,
+        "settled": lambda problem, errors, trials: trials,
+        "restarted": lambda problem, errors, trials: trials,
+        "simplified": lambda problem, fit, errors, trials: trials,
+        "outdone": lambda problem, fit, errors, trials: None,
+        "passes": lambda problem, trial: True,
+        "first_that_stands": lambda problem, fit, passing: (passing[0], fit),
+        "narrowed": lambda problem, fit, errors, taken, ended: None,
+    }
+    for name, stand_in in told.items():
+        monkeypatch.setattr(decide, name, stand_in)
+    _, _, rounds = decide.forward(SimpleNamespace(floor=1.0, settings=SimpleNamespace(most=4)), None)
+    assert [one.taken is not None for one in rounds] == [True] * names + [False]
