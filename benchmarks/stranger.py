@@ -18,6 +18,7 @@ import numpy as np
 
 STEP = 0.00025  # s
 SLIP, SLIDING = 1e-4, 1e-5  # rad (m) of a bristle before it slips, of a joint that turns (slides)
+FIRM = 5e-4  # of the servo's gain: what a bristle holds at least, in N m a rad, before it slips; friction may grow that had been none
 CLEARANCE = 0.01  # m
 EFFECTS = {
     "stribeck": "torque [N m] above the dry friction at rest, speed [rad/s]",
@@ -109,8 +110,12 @@ class World:
             self.least = np.where(given.astype(bool), np.maximum(self.least, ranges[:, 0]), self.least)
             self.most = np.where(given.astype(bool), np.minimum(self.most, ranges[:, 1]), self.most)
         self.kp = off(-model.actuator_biasprm[:, 1])
-        own = -model.actuator_biasprm[:, 2]
-        self.kd = off(np.where(own > 0.0, own, 0.04 * self.kp) + model.dof_damping[self.dof])
+        # a servo without damping of its own beside a joint with some damps nothing: what the joint takes no limit holds back
+        own, passive = -model.actuator_biasprm[:, 2], model.dof_damping[self.dof]
+        own = np.where((own > 0.0) | (passive > 0.0), own, 0.04 * self.kp)
+        self.kd = off(own + passive)
+        self.drag = self.kd * passive / (own + passive)
+        self.kd -= self.drag
         published = np.maximum(model.dof_frictionloss[self.dof], 1e-3)
         self.slip = off(published if friction is None else np.where(self.turns, friction, 3.0))
         self.rotor = off(np.maximum(model.dof_armature[self.dof], armature))
@@ -132,7 +137,7 @@ class World:
 
     def truth(self) -> str:
         """What is true, in words."""
-        rows = zip(self.names, self.kp, self.kd, self.slip, self.rotor, strict=True)
+        rows = zip(self.names, self.kp, self.kd + self.drag, self.slip, self.rotor, strict=True)
         usual = [f"{n}: kp {a:.4g}, damping {b:.4g}, friction {c:.4g}, rotor {d:.4g}" for n, a, b, c, d in rows]
         return "\n".join(
             [f"hidden: {self.effect or 'nothing'} {self.names[self.at] if self.at >= 0 else ''} {self.numbers}", *usual, ""]
@@ -153,10 +158,10 @@ class World:
             error = self._commanded(command[max(k - late, 0) // hold]) - q
             torque = np.clip(self._served(error, v), self.least, self.most)
             torque, slip = self._hidden(torque, q, v, max(k, 0) * STEP)
-            stiffness = self.slip / np.where(self.turns, SLIP, SLIDING)
+            stiffness = np.maximum(self.slip, FIRM * self.kp) / np.where(self.turns, SLIP, SLIDING)
             bristle = np.clip(bristle + v * STEP, -slip / stiffness, slip / stiffness)
             stuck = np.abs(bristle) < 0.999 * slip / stiffness
-            data.qfrc_applied[self.dof] = torque - stiffness * bristle - 0.02 * np.sqrt(stiffness * self.rotor) * v * stuck
+            data.qfrc_applied[self.dof] = torque - self.drag * v - stiffness * bristle - 0.02 * np.sqrt(stiffness * self.rotor) * v * stuck
             mujoco.mj_step(self.model, data)
             if data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number:
                 raise SystemExit("The world became unstable; ask for a larger --armature.")

@@ -14,7 +14,7 @@ from edream.sim.servo import damping_inside, share_damping
 
 def load_friction(state: State, index: dict[str, int], values: dict[str, Any]) -> None:
     """Dry friction grows with the torque on the gear: from the load's side, from the motor's, or between the two."""
-    load, motor = abs(state.gear_torque[:, index["dof"]]), abs(state.actuator_force[:, index["actuator"]])
+    load, motor = abs(state.gear_torque[:, index["dof"]]), abs(state.actuator_force[:, index["force"]])
     share = values["motor_share"]
     state.friction[:, index["drive"]] += values["slope"] * ((1.0 - share) * load + share * motor)
 

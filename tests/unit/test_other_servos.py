@@ -2,13 +2,15 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import mujoco
 import numpy as np
 import pytest
 
 from edream.catalog import load
-from edream.core.effect import Effect, holds_position
+from edream.core.effect import Effect, State, holds_position
 from edream.core.episode import Episode
 from edream.core.errors import EdreamError
 from edream.diagnosis.candidates import Candidate, library, rounds
@@ -16,6 +18,7 @@ from edream.diagnosis.next_motion import suggest
 from edream.diagnosis.nuisance import fit_nuisance
 from edream.diagnosis.problem import Problem, Settings, prepare
 from edream.diagnosis.screen import screen
+from edream.effects.load_friction import load_friction
 from edream.sim.robot import RobotModel, load_robot
 from edream.sim.rollout import rollout
 from edream.sim.simulation import Placement, SimulatedRobot
@@ -128,3 +131,10 @@ def test_a_grippers_tendon_is_no_joint_and_joints_that_were_not_recorded_may_be_
         _ = load_robot(path, recorded=["a", "right"]).joints
     with pytest.raises(EdreamError, match="no actuator on a hinge or slide joint"):
         _ = RobotModel("hand", HAND[: HAND.index("<position joint")] + "</actuator></mujoco>").joints
+
+
+def test_friction_grows_with_the_force_of_its_own_servo_behind_an_actuator_of_several_outputs():
+    state = SimpleNamespace(gear_torque=np.zeros((1, 1)), actuator_force=np.array([[9.0, 9.0, 9.0, -2.0]]), friction=np.zeros((1, 1)))
+    index = {"dof": 0, "drive": 0, "actuator": 1, "force": 3}
+    load_friction(cast(State, state), index, {"slope": 0.5, "motor_share": 1.0})
+    assert state.friction.tolist() == [[1.0]]
