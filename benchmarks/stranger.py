@@ -18,7 +18,7 @@ import numpy as np
 
 STEP = 0.00025  # s
 SLIP, SLIDING = 1e-4, 1e-5  # rad (m) of a bristle before it slips, of a joint that turns (slides)
-FIRM = 5e-4  # of the servo's gain: what a bristle holds at least, in N m a rad, before it slips; friction may grow that had been none
+FIRM = 5e-4  # of the servo's gain: the friction that a bristle is made for, at least, as what is hidden may add to none
 CLEARANCE = 0.01  # m
 EFFECTS = {
     "stribeck": "torque [N m] above the dry friction at rest, speed [rad/s]",
@@ -161,7 +161,8 @@ class World:
             stiffness = np.maximum(self.slip, FIRM * self.kp) / np.where(self.turns, SLIP, SLIDING)
             bristle = np.clip(bristle + v * STEP, -slip / stiffness, slip / stiffness)
             stuck = np.abs(bristle) < 0.999 * slip / stiffness
-            data.qfrc_applied[self.dof] = torque - self.drag * v - stiffness * bristle - 0.02 * np.sqrt(stiffness * self.rotor) * v * stuck
+            friction = stiffness * bristle + 0.02 * np.sqrt(stiffness * self.rotor) * v * stuck
+            data.qfrc_applied[self.dof] = torque - self.drag * v - friction
             mujoco.mj_step(self.model, data)
             if data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number:
                 raise SystemExit("The world became unstable; ask for a larger --armature.")

@@ -134,7 +134,8 @@ def test_a_grippers_tendon_is_no_joint_and_joints_that_were_not_recorded_may_be_
 
 
 def test_friction_grows_with_the_force_of_its_own_servo_behind_an_actuator_of_several_outputs():
-    state = SimpleNamespace(gear_torque=np.zeros((1, 1)), actuator_force=np.array([[9.0, 9.0, 9.0, -2.0]]), friction=np.zeros((1, 1)))
+    still, forces = np.zeros((1, 1)), np.array([[9.0, 9.0, 9.0, -2.0]])
+    state = SimpleNamespace(gear_torque=still, actuator_force=forces, friction=np.zeros((1, 1)))
     index = {"dof": 0, "drive": 0, "actuator": 1, "force": 3}
     load_friction(cast(State, state), index, {"slope": 0.5, "motor_share": 1.0})
     assert state.friction.tolist() == [[1.0]]
