@@ -92,6 +92,12 @@ def acted_on(candidate: Candidate) -> frozenset[str]:
     return frozenset(target.split("<-")[0] for target in candidate.targets)
 
 
+def untouched(problem: Problem, named: Sequence[Candidate]) -> frozenset[str]:
+    """The joints on which nothing of what is named acts; none where some of it acts on no joint alone."""
+    joints = [acted_on(candidate) for candidate in named]
+    return frozenset(problem.joints).difference(*joints) if all(joints) else frozenset()
+
+
 def moving_bodies(problem: Problem) -> list[str]:
     """The link that each recorded joint moves, by name."""
     model = problem.robot.model

@@ -8,9 +8,9 @@ from jaxtyping import Float
 
 from edream.catalog import load
 from edream.core.effect import Effect
-from edream.diagnosis.candidates import Candidate, acted_on, confused_with, placement
+from edream.diagnosis.candidates import Candidate, acted_on, confused_with, placement, untouched
 from edream.diagnosis.descent import Fit, begin, descend, polish
-from edream.diagnosis.left_out import HALF, bootstrap, falls_short, is_brief, is_real, left_out_errors
+from edream.diagnosis.left_out import HALF, bootstrap, falls_short, is_brief, is_real, joint_errors, left_out_errors
 from edream.diagnosis.narrowing import narrowed
 from edream.diagnosis.problem import VISIBLE, Problem
 from edream.diagnosis.remainder import Remainder, find_remainder
@@ -38,6 +38,7 @@ from edream.sim.least_squares import worth
 
 MATERIAL = 0.05  # of the gap at first, in root-mean-square error, that a further effect must close
 ALIKE = 0.9  # a rival that closes this share of what the winner closes may be the true one
+ELSEWHERE = 1.5  # floors of error on a joint where nothing is named: looked into, however large the gap was at first
 NEAR, RIVALS = 0.75, 5  # of the best one's gain; so many go on
 BEHIND = 0.6  # of it, where the best leaves a gap that can be seen
 NARROW = 0.3  # of a quantity's range: an interval that says something
@@ -81,7 +82,10 @@ def forward(
         errors = left_out_errors(problem, fit)
         first = rounds[0].errors if rounds else errors
         left, whole = (float(np.sqrt(e.mean())) - problem.floor for e in (errors, first))
-        told = left > max(VISIBLE * problem.floor, MATERIAL * whole if rounds else 0.0)
+        bare = untouched(problem, [one.taken.candidate for one in rounds if one.taken is not None])
+        errors_of = dict(zip(problem.joints, joint_errors(problem, fit), strict=True))
+        elsewhere = any(errors_of[joint] > ELSEWHERE * problem.floor for joint in bare)
+        told = left > VISIBLE * problem.floor and (elsewhere or left > (MATERIAL * whole if rounds else 0.0))
         if not told or (len(rounds) >= STAND_INS and falls_short(problem, first, errors)):
             rounds.append(Round(fit, errors, [], [], None))
             break
@@ -97,7 +101,7 @@ def forward(
         if not rounds and (formula := outdone(problem, fit, errors, trials)) is not None:
             rounds.append(Round(fit, errors, scored, trials, None, formula))
             break
-        passing = [t for t in trials if passes(problem, t) and matters(problem, first, errors, t)]
+        passing = [t for t in trials if passes(problem, t) and matters(problem, first, errors, t, bare)]
         taken, ended = first_that_stands(problem, fit, passing)
         if taken is not None and (fewer := narrowed(problem, fit, errors, taken, ended)) is not None:
             trial, there = fewer
@@ -140,13 +144,18 @@ def first_that_stands(problem: Problem, fit: Fit, passing: Sequence[Trial]) -> t
     return None, fit
 
 
-def matters(problem: Problem, first: Float[np.ndarray, "M"], errors: Float[np.ndarray, "M"], trial: Trial) -> bool:
+def matters(
+    problem: Problem, first: Float[np.ndarray, "M"], errors: Float[np.ndarray, "M"], trial: Trial, bare: frozenset[str]
+) -> bool:
     """Whether a candidate's gain is worth a name beside the gap that was there at first; always so for the first one.
 
-    What comes after a large effect and gains little more is mostly that effect's own form, which no formula has exactly.
+    What comes after a large effect on the same joint and gains little more is mostly that effect's own form, which no formula has
+    exactly. On `bare` joints, on which nothing is named, it is something else, and may be as small as can be seen.
     """
-    gap = float(np.sqrt(first.mean())) - problem.floor
-    return first is errors or float(np.sqrt(errors.mean()) - np.sqrt(trial.errors.mean())) >= MATERIAL * gap
+    least = MATERIAL * (float(np.sqrt(first.mean())) - problem.floor)
+    if (joints := acted_on(trial.candidate)) and joints <= bare:
+        least = min(least, VISIBLE * problem.floor)
+    return first is errors or float(np.sqrt(errors.mean()) - np.sqrt(trial.errors.mean())) >= least
 
 
 def settled(problem: Problem, errors: Float[np.ndarray, "M"], trials: Sequence[Trial]) -> list[Trial]:
@@ -285,14 +294,15 @@ def with_confusable(
     trials: Sequence[Trial],
     done: Callable[[int], object] = lambda n: None,
 ) -> list[Trial]:
-    """The trials and those of the effects that the best one is known to be confused with, so that no twin goes unheard.
+    """The trials, and what the best one and all that cannot be told from it are known to be confused with: no twin goes unheard.
 
     Each is heard where the best one acts; where it can't act there, at the place that the score test likes best.
     """
     best = next((t for t in trials if passes(problem, t)), None)
     if best is None:
         return list(trials)
-    known = confused_with(problem, best.candidate.effect)
+    near = [t for t in trials if t is best or (passes(problem, t) and not told_apart(problem, t, best))]
+    known = [effect for one in near for effect in confused_with(problem, one.candidate.effect)]
     places = [*scored, *placed_at(problem, fit, best.candidate.targets, known)]
     places.sort(key=lambda s: s.candidate.targets != best.candidate.targets)  # the score test's order otherwise
     chosen = {s.candidate.effect: s for s in reversed(places) if s.candidate.effect in [one.name for one in known]}

@@ -97,8 +97,7 @@ def far_off(problem: Problem, fit: Fit) -> bool:
     """Whether the gap is so large, or the fitted numbers so strange beside a clear one, that a linear test points anywhere."""
     if fit.rms > FAR * problem.floor:
         return True
-    joints = np.sqrt((fit.residual.reshape(-1, len(problem.joints)) ** 2).mean(axis=0))
-    return joints.max() > CLEAR * problem.floor and not credible(problem, fit.space.mapping(fit.values))
+    return joint_errors(problem, fit).max() > CLEAR * problem.floor and not credible(problem, fit.space.mapping(fit.values))
 
 
 def is_small(fit: Fit) -> bool:
@@ -109,3 +108,8 @@ def is_small(fit: Fit) -> bool:
 def is_brief(fit: Fit) -> bool:
     """Whether a simulation of all motions costs little."""
     return sum(float(w.times[-1]) for w in fit.objective.windows) <= BRIEF
+
+
+def joint_errors(problem: Problem, fit: Fit) -> Float[np.ndarray, "J"]:
+    """Root-mean-square error [rad] of each joint of the robot that counts, over the fitted motions."""
+    return np.sqrt((fit.residual.reshape(-1, len(problem.joints)) ** 2).mean(axis=0))

@@ -248,15 +248,13 @@ def test_no_formula_is_looked_for_where_no_gap_is_worth_a_name(monkeypatch: pyte
     assert decide.outdone(SimpleNamespace(floor=1.0), None, np.full(6, 2.0), []) is None
 
 
-@pytest.mark.parametrize(("left", "names"), [([100.0, 90.0, 80.0, 70.0], 2), ([100.0, 90.0, 40.0, 1.0], 3)])
-def test_after_two_names_that_close_less_than_half_no_third_is_looked_for(
-    monkeypatch: pytest.MonkeyPatch, left: list[float], names: int
-) -> None:
-    """What each round begins with, in floors squared."""
+def _rounds(monkeypatch: pytest.MonkeyPatch, left: list[float], joint_errors: list[float]) -> list[decide.Round]:
+    """Rounds that find a spring on `tilt`, where there is a joint `pan`; `left`: what each begins with, in floors squared."""
     remaining = iter(left)
     told = {
         "with_short_steps": lambda problem, fit: (problem, fit),
         "left_out_errors": lambda problem, fit: np.full(6, next(remaining)),
+        "joint_errors": lambda problem, fit: np.array(joint_errors),
         "screen": lambda problem, fit, done: [],
         "try_best": lambda problem, fit, errors, scored, done: [_trial("spring", 0.3)],
         "with_bold": lambda problem, fit, errors, trials, done: trials,
@@ -267,10 +265,34 @@ def test_after_two_names_that_close_less_than_half_no_third_is_looked_for(
         "simplified": lambda problem, fit, errors, trials: trials,
         "outdone": lambda problem, fit, errors, trials: None,
         "passes": lambda problem, trial: True,
-        "first_that_stands": lambda problem, fit, passing: (passing[0], fit),
+        "first_that_stands": lambda problem, fit, passing: (passing[0] if passing else None, fit),
         "narrowed": lambda problem, fit, errors, taken, ended: None,
     }
     for name, stand_in in told.items():
         monkeypatch.setattr(decide, name, stand_in)
-    _, _, rounds = decide.forward(SimpleNamespace(floor=1.0, settings=SimpleNamespace(most=4)), None)
+    problem = SimpleNamespace(floor=1.0, joints=("tilt", "pan"), settings=SimpleNamespace(most=4))
+    return decide.forward(problem, None)[2]
+
+
+@pytest.mark.parametrize(("left", "names"), [([100.0, 90.0, 80.0, 70.0], 2), ([100.0, 90.0, 40.0, 1.0], 3)])
+def test_after_two_names_that_close_less_than_half_no_third_is_looked_for(
+    monkeypatch: pytest.MonkeyPatch, left: list[float], names: int
+) -> None:
+    rounds = _rounds(monkeypatch, left, [1.0, 1.0])
     assert [one.taken is not None for one in rounds] == [True] * names + [False]
+
+
+@pytest.mark.parametrize(("joint_errors", "looked"), [([2.0, 1.0], False), ([1.0, 2.0], True)])
+def test_little_is_looked_into_after_a_large_effect_where_it_is_left_on_another_joint(
+    monkeypatch: pytest.MonkeyPatch, joint_errors: list[float], looked: bool
+) -> None:
+    """A twentieth of the first gap is ten floors; 0.2 are left."""
+    rounds = _rounds(monkeypatch, [200.0**2, 1.2**2], joint_errors)
+    assert bool(rounds[1].trials) is looked
+
+
+@pytest.mark.parametrize(("joint", "worth"), [("tilt", False), ("pan", True)])
+def test_a_small_gain_is_worth_a_name_on_a_joint_where_nothing_is_named(joint: str, worth: bool) -> None:
+    problem = SimpleNamespace(floor=1.0)
+    trial = Trial(Candidate("actuator_delay", (joint,)), 0.0, SimpleNamespace(), np.full(6, 1.0), 0.9, True)
+    assert decide.matters(problem, np.full(6, 200.0**2), np.full(6, 1.2**2), trial, frozenset({"pan"})) is worth
