@@ -87,6 +87,29 @@ def test_what_the_best_one_is_confused_with_is_heard_where_that_one_acts(
     assert {t.candidate.effect for t in found} == {"torque_speed_limit", "quadratic_drag"}
 
 
+@pytest.mark.parametrize(("told", "heard"), [(False, ["load_friction"]), (True, [])])
+def test_twins_of_what_cannot_be_told_from_the_best_are_heard_too(
+    monkeypatch: pytest.MonkeyPatch, told: bool, heard: list[str]
+) -> None:
+    """A spring may be an efficiency, whose twin is friction with the load."""
+    fit = SimpleNamespace(rms=2.0)
+    best, rival = (replace(_trial(n, c), fit=SimpleNamespace(rms=1.0)) for n, c in (("spring", 0.9), ("directional_efficiency", 0.8)))
+    known = {"spring": [], "directional_efficiency": [SimpleNamespace(name="load_friction")]}
+    monkeypatch.setattr(decide, "confused_with", lambda problem, effect: known[effect])
+    monkeypatch.setattr(decide, "passes", lambda problem, trial: True)
+    monkeypatch.setattr(decide, "told_apart", lambda problem, worse, better: told)
+    monkeypatch.setattr(decide, "on_few", lambda problem, fit: fit)
+    monkeypatch.setattr(
+        decide, "placed_at", lambda problem, fit, targets, known: [Scored(Candidate(e.name, targets), {}, 0.0) for e in known]
+    )
+    monkeypatch.setattr(decide, "refitted", lambda problem, fit, one, iterations, joints: SimpleNamespace(rms=1.0))
+    monkeypatch.setattr(decide, "gone_on", lambda fit, begun, joints: begun)
+    monkeypatch.setattr(decide, "judged", lambda problem, fit, errors, one: replace(best, candidate=one.candidate, closed=0.85))
+    problem = SimpleNamespace(settings=SimpleNamespace(threads=1))
+    found = decide.with_confusable(problem, fit, np.zeros(4), [], [best, rival])
+    assert [t.candidate.effect for t in found if t not in (best, rival)] == heard
+
+
 @pytest.mark.parametrize(
     ("pan", "tilt", "sound", "far"),
     [(0.4, 3.5, False, True), (0.4, 3.5, True, False), (2.5, 2.5, False, False), (25.0, 25.0, True, True)],
