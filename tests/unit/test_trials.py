@@ -93,7 +93,8 @@ def test_twins_of_what_cannot_be_told_from_the_best_are_heard_too(
 ) -> None:
     """A spring may be an efficiency, whose twin is friction with the load."""
     fit = SimpleNamespace(rms=2.0)
-    best, rival = (replace(_trial(n, c), fit=SimpleNamespace(rms=1.0)) for n, c in (("spring", 0.9), ("directional_efficiency", 0.8)))
+    both = _trial("spring", 0.9), _trial("directional_efficiency", 0.8)
+    best, rival = (replace(one, fit=SimpleNamespace(rms=1.0)) for one in both)
     known = {"spring": [], "directional_efficiency": [SimpleNamespace(name="load_friction")]}
     monkeypatch.setattr(decide, "confused_with", lambda problem, effect: known[effect])
     monkeypatch.setattr(decide, "passes", lambda problem, trial: True)
