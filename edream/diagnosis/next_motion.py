@@ -25,6 +25,7 @@ MARGIN = 0.05  # of a joint's range is kept free at either end
 INVISIBLE = 0.01  # floors: predictions this near are the same
 # of the floor squared: the mean difference that a motion must promise; recorded as often as the others, it tells
 TELLING = 2 * DISTINCT
+SHORT = 0.8  # of that: where no motion has two models so far apart in its every row, none will in those that count
 HASTE = 1.2  # times the fastest command of the recordings
 SOFT = 0.5  # of the usual gain of the servos: what pulls beside a servo, and what only reads another angle, differ then
 
@@ -119,12 +120,16 @@ def best_under(
     room = room_of(problem)
     drawn = [draw(room, rng) for _ in range(DRAWN)]
 
-    def promising(motions: Sequence[np.ndarray]) -> list[np.ndarray]:
+    def promising(motions: Sequence[np.ndarray]) -> tuple[list[np.ndarray], float]:
         apart = np.max([separations(problem, contenders, motions, one) for one in under], axis=0)
-        return [motions[i] for i in np.argsort(-_least(apart, (INVISIBLE * problem.floor) ** 2))[:JUDGED]]
+        order = np.argsort(-_least(apart, (INVISIBLE * problem.floor) ** 2))[:JUDGED]
+        return [motions[i] for i in order], float(apart.max())
 
-    best = promising(drawn)
-    best += promising([mixed(one, drawn[int(rng.integers(DRAWN))], rng) for one in best for _ in range(CHANGED)])
+    best, furthest = promising(drawn)
+    more, further = promising([mixed(one, drawn[int(rng.integers(DRAWN))], rng) for one in best for _ in range(CHANGED)])
+    if max(furthest, further) < SHORT * TELLING * problem.floor**2:
+        return None  # before what their numbers can make up for, which takes long to simulate
+    best += more
     worth = 0.5 * TELLING * (len(best[0]) - RESTED) * int(problem.counted.sum()) / problem.settings.stride
     each = np.array([evidences(problem, contenders, best, one) for one in under])
     sure = _least(each.max(axis=0), worth)
