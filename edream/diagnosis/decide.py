@@ -10,7 +10,7 @@ from edream.catalog import load
 from edream.core.effect import Effect
 from edream.diagnosis.candidates import Candidate, acted_on, confused_with, placement, untouched
 from edream.diagnosis.descent import Fit, begin, descend, polish
-from edream.diagnosis.left_out import HALF, bootstrap, falls_short, is_brief, is_real, joint_errors, left_out_errors
+from edream.diagnosis.left_out import HALF, bootstrap, falls_short, gained_on, is_brief, is_real, joint_errors, left_out_errors
 from edream.diagnosis.narrowing import narrowed
 from edream.diagnosis.problem import VISIBLE, Problem
 from edream.diagnosis.remainder import Remainder, find_remainder
@@ -101,7 +101,7 @@ def forward(
         if not rounds and (formula := outdone(problem, fit, errors, trials)) is not None:
             rounds.append(Round(fit, errors, scored, trials, None, formula))
             break
-        passing = [t for t in trials if passes(problem, t) and matters(problem, first, errors, t, bare)]
+        passing = [t for t in trials if passes(problem, t) and matters(problem, first, errors, fit, t, bare)]
         taken, ended = first_that_stands(problem, fit, passing)
         if taken is not None and (fewer := narrowed(problem, fit, errors, taken, ended)) is not None:
             trial, there = fewer
@@ -145,17 +145,15 @@ def first_that_stands(problem: Problem, fit: Fit, passing: Sequence[Trial]) -> t
 
 
 def matters(
-    problem: Problem, first: Float[np.ndarray, "M"], errors: Float[np.ndarray, "M"], trial: Trial, bare: frozenset[str]
+    problem: Problem, first: Float[np.ndarray, "M"], errors: Float[np.ndarray, "M"], fit: Fit, trial: Trial, bare: frozenset[str]
 ) -> bool:
     """Whether a candidate's gain is worth a name beside the gap that was there at first; always so for the first one.
 
-    What comes after a large effect on the same joint and gains little more is mostly that effect's own form, which no formula has
-    exactly. On `bare` joints, on which nothing is named, it is something else, and may be as small as can be seen.
+    What comes after a large effect and gains little more is mostly that effect's own form, which no formula has exactly. What it
+    gains on `bare` joints, on which nothing is named, is something else, and may be as small as can be seen.
     """
-    least = MATERIAL * (float(np.sqrt(first.mean())) - problem.floor)
-    if (joints := acted_on(trial.candidate)) and joints <= bare:
-        least = min(least, VISIBLE * problem.floor)
-    return first is errors or float(np.sqrt(errors.mean()) - np.sqrt(trial.errors.mean())) >= least
+    gap, gain = float(np.sqrt(first.mean())) - problem.floor, float(np.sqrt(errors.mean()) - np.sqrt(trial.errors.mean()))
+    return first is errors or gain >= MATERIAL * gap or gained_on(problem, bare, fit, trial.fit) >= VISIBLE * problem.floor
 
 
 def settled(problem: Problem, errors: Float[np.ndarray, "M"], trials: Sequence[Trial]) -> list[Trial]:

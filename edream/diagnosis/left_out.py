@@ -5,7 +5,7 @@ from jaxtyping import Float, Int
 
 from edream.diagnosis.descent import Fit, step_from
 from edream.diagnosis.problem import Problem, credible
-from edream.sim.objective import UNSTABLE_RESIDUAL
+from edream.sim.objective import UNSTABLE_RESIDUAL, rms
 from edream.sim.rollout import rollout_each
 
 FOLDS = 5
@@ -113,3 +113,11 @@ def is_brief(fit: Fit) -> bool:
 def joint_errors(problem: Problem, fit: Fit) -> Float[np.ndarray, "J"]:
     """Root-mean-square error [rad] of each joint of the robot that counts, over the fitted motions."""
     return np.sqrt((fit.residual.reshape(-1, len(problem.joints)) ** 2).mean(axis=0))
+
+
+def gained_on(problem: Problem, joints: frozenset[str], before: Fit, after: Fit) -> float:
+    """By how much the root-mean-square error [rad] of some joints is smaller after than before; 0 of none."""
+    if not joints:
+        return 0.0
+    own = np.array([joint in joints for joint in problem.joints])
+    return rms(joint_errors(problem, before)[own]) - rms(joint_errors(problem, after)[own])

@@ -279,6 +279,7 @@ def _rounds(monkeypatch: pytest.MonkeyPatch, left: list[float], joint_errors: li
         "with_short_steps": lambda problem, fit: (problem, fit),
         "left_out_errors": lambda problem, fit: np.full(6, next(remaining)),
         "joint_errors": lambda problem, fit: np.array(joint_errors),
+        "gained_on": lambda problem, joints, before, after: 0.0,
         "screen": lambda problem, fit, done: [],
         "try_best": lambda problem, fit, errors, scored, done: [_trial("spring", 0.3)],
         "with_bold": lambda problem, fit, errors, trials, done: trials,
@@ -315,8 +316,10 @@ def test_little_is_looked_into_after_a_large_effect_where_it_is_left_on_another_
     assert bool(rounds[1].trials) is looked
 
 
-@pytest.mark.parametrize(("joint", "worth"), [("tilt", False), ("pan", True)])
-def test_a_small_gain_is_worth_a_name_on_a_joint_where_nothing_is_named(joint: str, worth: bool) -> None:
-    problem = SimpleNamespace(floor=1.0)
-    trial = Trial(Candidate("actuator_delay", (joint,)), 0.0, SimpleNamespace(), np.full(6, 1.0), 0.9, True)
-    assert decide.matters(problem, np.full(6, 200.0**2), np.full(6, 1.2**2), trial, frozenset({"pan"})) is worth
+@pytest.mark.parametrize(("bare", "worth"), [({"pan"}, True), ({"tilt"}, False), (set(), False)])
+def test_a_small_gain_is_worth_a_name_where_it_is_made_on_a_joint_without_one(bare: set[str], worth: bool) -> None:
+    """A payload, which acts on no joint alone, takes half a floor from pan and leaves tilt; a twentieth of the first gap is ten."""
+    problem = SimpleNamespace(floor=1.0, joints=("tilt", "pan"))
+    fit, after = (SimpleNamespace(residual=np.tile([1.0, pan], 5)) for pan in (1.5, 1.0))
+    trial = Trial(Candidate("payload", ("head",)), 0.0, after, np.full(6, 1.0), 0.9, True)
+    assert decide.matters(problem, np.full(6, 200.0**2), np.full(6, 1.3**2), fit, trial, frozenset(bare)) is worth
