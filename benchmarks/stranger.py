@@ -18,7 +18,7 @@ import numpy as np
 
 STEP = 0.00025  # s
 SLIP, SLIDING = 1e-4, 1e-5  # rad (m) of a bristle before it slips, of a joint that turns (slides)
-FIRM = 5e-4  # of the servo's gain: the friction that a bristle is made for, at least, as what is hidden may add to none
+FIRM = 5e-4  # rad (m): a bristle is made for what the servo gives at this error, at least, as what is hidden may add to no friction
 CLEARANCE = 0.01  # m
 EFFECTS = {
     "stribeck": "torque [N m] above the dry friction at rest, speed [rad/s]",
@@ -110,9 +110,9 @@ class World:
             self.least = np.where(given.astype(bool), np.maximum(self.least, ranges[:, 0]), self.least)
             self.most = np.where(given.astype(bool), np.minimum(self.most, ranges[:, 1]), self.most)
         self.kp = off(-model.actuator_biasprm[:, 1])
-        # a servo without damping of its own beside a joint with some damps nothing: what the joint takes no limit holds back
-        own, passive = -model.actuator_biasprm[:, 2], model.dof_damping[self.dof]
-        own = np.where((own > 0.0) | (passive > 0.0), own, 0.04 * self.kp)
+        # the servo's damping is within its torque limit, the joint's is not; where the model has neither, the servo damps
+        own, passive = np.maximum(-model.actuator_biasprm[:, 2], 0.0), model.dof_damping[self.dof]
+        own = np.where(own + passive > 0.0, own, 0.04 * self.kp)
         self.kd = off(own + passive)
         self.drag = self.kd * passive / (own + passive)
         self.kd -= self.drag

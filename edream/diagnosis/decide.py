@@ -300,7 +300,7 @@ def with_confusable(
     if best is None:
         return list(trials)
     near = [t for t in trials if t is best or (passes(problem, t) and not told_apart(problem, t, best))]
-    known = [effect for one in near for effect in confused_with(problem, one.candidate.effect)]
+    known = list({effect.name: effect for one in near for effect in confused_with(problem, one.candidate.effect)}.values())
     places = [*scored, *placed_at(problem, fit, best.candidate.targets, known)]
     places.sort(key=lambda s: s.candidate.targets != best.candidate.targets)  # the score test's order otherwise
     chosen = {s.candidate.effect: s for s in reversed(places) if s.candidate.effect in [one.name for one in known]}

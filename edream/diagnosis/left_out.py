@@ -115,6 +115,11 @@ def joint_errors(problem: Problem, fit: Fit) -> Float[np.ndarray, "J"]:
     return np.sqrt((fit.residual.reshape(-1, len(problem.joints)) ** 2).mean(axis=0))
 
 
+def worst_joint(problem: Problem, fit: Fit) -> str:
+    """The joint that is off most."""
+    return problem.joints[int(np.argmax(joint_errors(problem, fit)))]
+
+
 def gained_on(problem: Problem, joints: frozenset[str], before: Fit, after: Fit) -> float:
     """By how much the root-mean-square error [rad] of some joints is smaller after than before; 0 of none."""
     if not joints:

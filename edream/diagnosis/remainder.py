@@ -18,7 +18,7 @@ from jaxtyping import Float
 from edream.core.effect import Effect, State
 from edream.core.parameters import Parameter
 from edream.diagnosis.descent import Fit, descend
-from edream.diagnosis.left_out import bootstrap, folds, left_out_errors
+from edream.diagnosis.left_out import bootstrap, folds, left_out_errors, worst_joint
 from edream.diagnosis.problem import Problem
 from edream.diagnosis.screen import Projection, extend, thinned
 from edream.diagnosis.steps import with_long_steps
@@ -140,7 +140,7 @@ class Remainder:
 
 def find_remainder(problem: Problem, fit: Fit, beside_names: bool = False) -> Remainder | None:
     """Describe what is left on the joint where most is left; None where no term explains enough."""
-    joint = _worst_joint(problem, fit)
+    joint = worst_joint(problem, fit)
     shape, candidates = _candidates(problem, joint)
     scales = _scales(problem, joint, candidates)
     everything = ResidualTorque(list(candidates), scales, shape)
@@ -166,11 +166,6 @@ def find_remainder(problem: Problem, fit: Fit, beside_names: bool = False) -> Re
     gap = max(float(before.mean()) - problem.floor**2, 1e-18)
     real = low > 0.0 and float((before - errors).mean()) / gap >= problem.settings.gain
     return Remainder(joint, _formula(refitted, small), small, refitted, errors, real, beside_names)
-
-
-def _worst_joint(problem: Problem, fit: Fit) -> str:
-    parts = np.concatenate(fit.objective.per_window(fit.residual))
-    return problem.joints[int(np.argmax((parts**2).mean(axis=0)))]
 
 
 def _candidates(problem: Problem, joint: str) -> tuple[dict[str, float], list[str]]:

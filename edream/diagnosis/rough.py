@@ -9,6 +9,7 @@ import numpy as np
 from edream.core.parameters import targets_in
 from edream.diagnosis.candidates import Candidate, can_act, library, placement, probes_of
 from edream.diagnosis.descent import Fit, begin, descend
+from edream.diagnosis.left_out import worst_joint
 from edream.diagnosis.problem import Problem
 from edream.diagnosis.screen import acts_already, extend, fits_beside, lightened, with_quantities
 from edream.sim.objective import rms
@@ -20,8 +21,7 @@ HOPELESS = 0.5  # of the least gain that counts, to be there before all numbers 
 
 def rough_candidates(problem: Problem, fit: Fit) -> list[Candidate]:
     """The rough effects of the library on the joint that is furthest off."""
-    own = fit.residual.reshape(-1, len(problem.joints))
-    joint = problem.joints[int(np.argmax((own**2).mean(axis=0)))]
+    joint = worst_joint(problem, fit)
     found = [Candidate(effect.name, (joint,)) for effect in library(problem) if effect.rough and can_act(problem, effect, joint)]
     present = fit.objective.simulated.placements
     return [c for c in found if not acts_already(c, present) and fits_beside(problem, fit, [c])]

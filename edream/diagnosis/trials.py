@@ -10,7 +10,7 @@ from edream.core.effect import Effect
 from edream.core.parameters import targets_in
 from edream.diagnosis.candidates import Candidate, acted_on, library, placement, probes_of, rounds
 from edream.diagnosis.descent import Fit, begin, descend, stretches
-from edream.diagnosis.left_out import HALF, bootstrap, far_off, is_small, joint_errors, left_out_errors
+from edream.diagnosis.left_out import HALF, bootstrap, far_off, is_small, left_out_errors, worst_joint
 from edream.diagnosis.problem import Problem, nuisance_placements
 from edream.diagnosis.screen import (
     ENOUGH,
@@ -185,9 +185,8 @@ def with_bold(
 
 def overlooked(problem: Problem, fit: Fit, scored: Sequence[Scored]) -> list[Scored]:
     """The effects that are not in `scored`, on the joint that is off most: fitted numbers that are far from true may hide them."""
-    worst = problem.joints[int(np.argmax(joint_errors(problem, fit)))]
-    known = {s.candidate.effect for s in scored}
-    return placed_at(problem, fit, (worst,), [effect for effect in library(problem) if effect.name not in known])
+    known, there = {s.candidate.effect for s in scored}, (worst_joint(problem, fit),)
+    return placed_at(problem, fit, there, [effect for effect in library(problem) if effect.name not in known])
 
 
 def placed_at(problem: Problem, fit: Fit, targets: Sequence[str], effects: Sequence[Effect]) -> list[Scored]:

@@ -62,6 +62,19 @@ def test_what_the_score_test_points_at_is_refitted_on_whole_motions_where_others
     assert [t.closed for t in found] == [0.9, 0.9, 0.9, 0.4]
 
 
+def _refits_to(monkeypatch: pytest.MonkeyPatch, end: Trial) -> None:
+    """Every candidate can be placed, and its refit ends where `end` does."""
+    told = {
+        "on_few": lambda problem, fit: fit,
+        "placed_at": lambda problem, fit, targets, known: [Scored(Candidate(e.name, targets), {}, 0.0) for e in known],
+        "refitted": lambda problem, fit, one, iterations, joints: SimpleNamespace(rms=1.0),
+        "gone_on": lambda fit, begun, joints: begun,
+        "judged": lambda problem, fit, errors, one: replace(end, candidate=one.candidate),
+    }
+    for name, stand_in in told.items():
+        monkeypatch.setattr(decide, name, stand_in)
+
+
 @pytest.mark.parametrize(("tried", "heard"), [("pan", ["tilt"]), ("tilt", [])])
 def test_what_the_best_one_is_confused_with_is_heard_where_that_one_acts(
     monkeypatch: pytest.MonkeyPatch, tried: str, heard: list[str]
@@ -73,13 +86,7 @@ def test_what_the_best_one_is_confused_with_is_heard_where_that_one_acts(
     effects = [SimpleNamespace(name=name, confusable=()) for name in ("quadratic_drag", "payload")]
     monkeypatch.setattr(candidates, "library", lambda problem: effects)
     monkeypatch.setattr(decide, "passes", lambda problem, t: t.closed > 0.5)
-    monkeypatch.setattr(decide, "on_few", lambda problem, fit: fit)
-    monkeypatch.setattr(
-        decide, "placed_at", lambda problem, fit, targets, known: [Scored(Candidate(e.name, targets), {}, 0.0) for e in known]
-    )
-    monkeypatch.setattr(decide, "refitted", lambda problem, fit, one, iterations, joints: SimpleNamespace(rms=1.0))
-    monkeypatch.setattr(decide, "gone_on", lambda fit, begun, joints: begun)
-    monkeypatch.setattr(decide, "judged", lambda problem, fit, errors, one: replace(best, candidate=one.candidate, closed=0.8))
+    _refits_to(monkeypatch, replace(best, closed=0.8))
     scored = [Scored(Candidate("quadratic_drag", ("pan",)), {}, 0.2), Scored(Candidate("payload", ("head",)), {}, 0.1)]
     problem = SimpleNamespace(settings=SimpleNamespace(threads=1))
     found = decide.with_confusable(problem, fit, np.zeros(4), scored, [best, drag])
@@ -99,13 +106,7 @@ def test_twins_of_what_cannot_be_told_from_the_best_are_heard_too(
     monkeypatch.setattr(decide, "confused_with", lambda problem, effect: known[effect])
     monkeypatch.setattr(decide, "passes", lambda problem, trial: True)
     monkeypatch.setattr(decide, "told_apart", lambda problem, worse, better: told)
-    monkeypatch.setattr(decide, "on_few", lambda problem, fit: fit)
-    monkeypatch.setattr(
-        decide, "placed_at", lambda problem, fit, targets, known: [Scored(Candidate(e.name, targets), {}, 0.0) for e in known]
-    )
-    monkeypatch.setattr(decide, "refitted", lambda problem, fit, one, iterations, joints: SimpleNamespace(rms=1.0))
-    monkeypatch.setattr(decide, "gone_on", lambda fit, begun, joints: begun)
-    monkeypatch.setattr(decide, "judged", lambda problem, fit, errors, one: replace(best, candidate=one.candidate, closed=0.85))
+    _refits_to(monkeypatch, replace(best, closed=0.85))
     problem = SimpleNamespace(settings=SimpleNamespace(threads=1))
     found = decide.with_confusable(problem, fit, np.zeros(4), [], [best, rival])
     assert [t.candidate.effect for t in found if t not in (best, rival)] == heard
