@@ -9,7 +9,7 @@ import json
 import sys
 from pathlib import Path
 
-from benchmarks.blind.cases import ROOT, SITES, SORTS, Session, cases, robot_of
+from benchmarks.blind.cases import ROOT, SITES, SORTS, Session, cases, drawn, robot_of
 from benchmarks.blind.runner import run_cases, scored
 from benchmarks.blind.table import markdown, table
 from edream.core.errors import EdreamError
@@ -20,6 +20,7 @@ def main() -> None:
     given = arguments()
     session = Session(given.motions, given.seconds)
     chosen = cases(given.robots, given.cases, given.seeds, given.only, given.first_seed)
+    chosen = chosen if given.sample is None else drawn(chosen, given.sample, given.first_seed)
     results = run_cases(
         chosen,
         given.out,
@@ -53,6 +54,7 @@ def arguments() -> argparse.Namespace:
     add("--first-seed", type=int, default=0, help="where the seeds begin; the method was worked out on seeds 0 to 9")
     add("--cases", type=_words, default=list(SORTS), metavar="A,B", help=f"of {', '.join(SORTS)}")
     add("--only", type=_words, default=[], metavar="A,B", help="these hidden effects only")
+    add("--sample", type=int, help="so many of these cases, drawn at random: the whole table takes a day")
     add("--limit-minutes", type=float, default=float("inf"), help="start no further case after this time")
     add("--jobs", type=int, default=1, help="cases at a time; more than one makes the minutes of a case meaningless")
     add("--baselines", action="store_true", help="run the four baselines on the same cases")

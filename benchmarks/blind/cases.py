@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
+
 from edream.core.errors import unknown_name
 from edream.reality.effects import KINDS
 from edream.record import RecordConfig, record, truth_path
@@ -98,6 +100,12 @@ def cases(robots: Sequence[str], sorts: Sequence[str], seeds: int, only: Sequenc
                 chosen = [e for e in hidden[sort] if not only or (set(e) <= set(only) and e)]
                 out += [Case(robot, effects, seed, sort) for effects in chosen for robot in robots]
     return out
+
+
+def drawn(chosen: Sequence[Case], count: int, seed: int) -> list[Case]:
+    """So many of some cases, drawn at random, in the order of the draw: however far a run gets, it has seen a fair sample."""
+    order = np.random.default_rng([seed, 17]).permutation(len(chosen))
+    return [chosen[int(i)] for i in order[:count]]
 
 
 def robot_of(name: str) -> RobotModel | None:

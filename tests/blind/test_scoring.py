@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from benchmarks.blind import runner
-from benchmarks.blind.cases import PAIRS, SITES, SORTS, Case, Session, cases, robot_of
+from benchmarks.blind.cases import PAIRS, SITES, SORTS, Case, Session, cases, drawn, robot_of
 from benchmarks.blind.names import OTHER_NAME, SAME_NAME, is_usual, library_name, true_values
 from benchmarks.blind.runner import finished
 from benchmarks.blind.score import is_resolved, score
@@ -143,6 +143,16 @@ def test_all_cases_are_listed_once_and_cut_runs_see_every_robot() -> None:
     assert len({case.code for case in every}) == len(every) == len(SITES) * (3 * (len(KINDS) + len(PAIRS)) + 5)
     assert foreign >= 5
     assert {case.robot for case in every[:3]} == set(SITES)
+
+
+def test_a_longer_sample_begins_with_the_shorter_one_and_another_seed_draws_others() -> None:
+    every = cases(list(SITES), list(SORTS), 3)
+    few, more = drawn(every, 20, 5), drawn(every, 60, 5)
+    assert more[:20] == few
+    assert len(set(more)) == 60
+    assert set(more) <= set(every)
+    assert {case.robot for case in more} == set(SITES)
+    assert drawn(every, 20, 6) != few
 
 
 def test_finished_cases_are_kept_and_a_line_cut_short_is_not_one(tmp_path: Path) -> None:
