@@ -218,6 +218,8 @@ def simplified(problem: Problem, fit: Fit, errors: Float[np.ndarray, "M"], trial
     plain = Candidate(special[0], best.candidate.targets)
     if any((p.effect.name, tuple(p.targets)) == (plain.effect, plain.targets) for p in fit.objective.simulated.placements):
         return list(trials)  # it is in the model already
+    if any(t.candidate == plain and passes(problem, t) and t.closed >= AS_WELL * best.closed for t in trials):
+        return list(trials)  # it does as well from where it began
     extended, _ = extend(fit, [placement(problem, plain)])
     space, ended = extended.simulated.space, best.fit.space.mapping(best.fit.values)
     found = {name.replace(best.candidate.effect, plain.effect, 1): value for name, value in ended.items()}

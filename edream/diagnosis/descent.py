@@ -130,7 +130,7 @@ def _cut(window: Window) -> list[Window]:
 
 
 def descend(fit: Fit, fresh: Bool[np.ndarray, "P"] | None = None, iterations: int = 6, tolerance: float = 3e-3) -> Fit:
-    """Go down until a step gains less than `tolerance` of the cost.
+    """Go down until a step gains less than `tolerance` of the cost, or does not even promise as much.
 
     Each step solves the bounded, prior-weighted linear problem; where the whole step brings less than half of what it promised,
     shorter ones are tried too. Columns in `fresh` are differenced anew after each step, the others follow by Broyden's update.
@@ -146,6 +146,8 @@ def descend(fit: Fit, fresh: Bool[np.ndarray, "P"] | None = None, iterations: in
     for _ in range(iterations):
         move = step_from(fit)
         before, promised = cost(fit), cost(replace(fit, unit=fit.unit + move, residual=fit.residual + fit.jacobian @ move))
+        if before - promised < tolerance * before:
+            break
         tried = _tried(fit, np.clip([fit.unit + move], 0.0, 1.0))
         if before - tried[0][0] < WORD * (before - promised):
             tried += _tried(fit, np.clip(fit.unit + np.outer(SHORTER, move), 0.0, 1.0))
@@ -154,8 +156,7 @@ def descend(fit: Fit, fresh: Bool[np.ndarray, "P"] | None = None, iterations: in
             if doubted or iterations < PATIENT:
                 break
             # no step helps: with a Jacobian that was carried along, that says little
-            slope = jacobian(fit.objective, fit.space, fit.unit, fit.residual)
-            fit, doubted = replace(fit, jacobian=slope, ended=False), True
+            fit, doubted = replace(fit, jacobian=_own_renewed(fit, fit.jacobian), ended=False), True
             continue
         doubted = False
         fit = _moved(fit, unit, residual, fresh)
@@ -164,7 +165,7 @@ def descend(fit: Fit, fresh: Bool[np.ndarray, "P"] | None = None, iterations: in
     return fit
 
 
-def polish(fit: Fit, iterations: int = 5) -> Fit:
+def polish(fit: Fit, iterations: int = 3) -> Fit:
     """Go down to the end, also along a valley that is all but flat; the Jacobian at the end is fit for intervals.
 
     Differences go along the principal axes of the last Jacobian, and steps straight in the parameters' own units. What joints do to
@@ -200,11 +201,16 @@ def _moved(fit: Fit, unit: np.ndarray, residual: np.ndarray, fresh: np.ndarray |
     surprise = residual - fit.residual - fit.jacobian @ change
     jac = fit.jacobian + np.outer(surprise, change) / max(float(change @ change), 1e-12)
     if fresh is None:
-        own = np.tile(fit.objective.acts_on.T, (len(residual) // fit.objective.acts_on.shape[1], 1))
-        jac = np.where(own, nearly(fit.objective, fit.space, unit, residual), jac)
+        jac = _own_renewed(replace(fit, unit=unit, residual=residual), jac)
     elif fresh.any():
         steps = np.where(unit + STEP <= 1.0, STEP, -STEP)
         chosen = np.flatnonzero(fresh)
         moved = fit.objective.residuals(fit.space.from_unit(unit + np.diag(steps)[chosen]))
         jac[:, chosen] = ((moved - residual) / steps[chosen, None]).T
     return replace(fit, unit=unit, residual=residual, jacobian=jac, scale=worth(fit.objective, residual), ended=False)
+
+
+def _own_renewed(fit: Fit, slope: Float[np.ndarray, "R P"]) -> Float[np.ndarray, "R P"]:
+    """A Jacobian with what each parameter does to the joints that it acts on differenced anew; what it does to others as it was."""
+    own = np.tile(fit.objective.acts_on.T, (len(fit.residual) // fit.objective.acts_on.shape[1], 1))
+    return np.where(own, nearly(fit.objective, fit.space, fit.unit, fit.residual), slope)

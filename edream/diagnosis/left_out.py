@@ -14,7 +14,7 @@ FAR = 20.0  # floors of error: so large a gap that refits start from several pla
 CLEAR = 3.0  # floors on one joint: enough for that where fitted numbers are not credible, for they have made up for what is missing
 SMALL = 10  # numbers at most, with which that costs little
 BRIEF = 120.0  # s of motion, up to which trying is cheap
-LENGTHS = (1.0, 0.5, 0.2, 0.0)  # of a step
+LENGTHS = (1.0, 0.3)  # of a step
 REAL_GAP = 1.8  # floors of error that are a gap worth a name
 HALF = 0.5  # of the squared gap: a name that closes less of a real one may be a stand-in
 ASTRAY = 1.5  # times the fit's own error: a motion left out that is so much worse may say more about the step than about the model
@@ -43,7 +43,7 @@ def left_out_errors(problem: Problem, fit: Fit) -> Float[np.ndarray, "M"]:
 
 
 def _left_out_carefully(fit: Fit, fold: np.ndarray) -> Float[np.ndarray, "M"]:
-    """The same where a whole step may lead astray: of several lengths that which suits the other motions is taken."""
+    """The same where a whole step may lead astray: that length is taken, none among them, which suits the other motions."""
     owner = fit.objective.owner
     kept = [fold[owner] != one for one in range(fold.max() + 1)]
     steps = [step_from(fit, rows) for rows in kept]
@@ -51,7 +51,7 @@ def _left_out_carefully(fit: Fit, fold: np.ndarray) -> Float[np.ndarray, "M"]:
     squares = fit.objective.residuals(fit.space.from_unit(np.array(sets))) ** 2
     out = np.zeros(len(fold))
     for one, rows in enumerate(kept):
-        mine = squares[one * len(LENGTHS) : (one + 1) * len(LENGTHS)]
+        mine = np.vstack([squares[one * len(LENGTHS) : (one + 1) * len(LENGTHS)], fit.residual**2])
         best = mine[int(np.argmin(mine[:, rows].sum(axis=1)))]
         for number in np.flatnonzero(fold == one):
             out[number] = best[owner == number].mean()

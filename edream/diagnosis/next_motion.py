@@ -20,12 +20,14 @@ from edream.sim.window import Window
 SECONDS, RATE, SETTLE = 20.0, 50.0, 1.0
 RESTED = round(SETTLE * RATE)  # rows after which a planned motion no longer shows that it began where no servo holds a weight
 DRAWN, JUDGED, CHANGED = 40, 6, 4
+GLANCED = 8  # of those drawn: where these hardly move any two models apart, the others are not simulated
 FREE = 8  # directions in which the recordings leave a model's numbers most room; the others are taken to be known
 MARGIN = 0.05  # of a joint's range is kept free at either end
 INVISIBLE = 0.01  # floors: predictions this near are the same
 # of the floor squared: the mean difference that a motion must promise; recorded as often as the others, it tells
 TELLING = 2 * DISTINCT
 SHORT = 0.8  # of that: where no motion has two models so far apart in its every row, none will in those that count
+FAINT = 0.1  # of that: so little by those glanced at, others of their kind will not come near it
 HASTE = 1.2  # times the fastest command of the recordings
 SOFT = 0.5  # of the usual gain of the servos: what pulls beside a servo, and what only reads another angle, differ then
 
@@ -120,16 +122,24 @@ def best_under(
     room = room_of(problem)
     drawn = [draw(room, rng) for _ in range(DRAWN)]
 
-    def promising(motions: Sequence[np.ndarray]) -> tuple[list[np.ndarray], float]:
-        apart = np.max([separations(problem, contenders, motions, one) for one in under], axis=0)
-        order = np.argsort(-_least(apart, (INVISIBLE * problem.floor) ** 2))[:JUDGED]
-        return [motions[i] for i in order], float(apart.max())
+    def apart(motions: Sequence[np.ndarray]) -> np.ndarray:
+        return np.max([separations(problem, contenders, motions, one) for one in under], axis=0)
 
-    best, furthest = promising(drawn)
-    more, further = promising([mixed(one, drawn[int(rng.integers(DRAWN))], rng) for one in best for _ in range(CHANGED)])
-    if max(furthest, further) < SHORT * TELLING * problem.floor**2:
+    def promising(motions: Sequence[np.ndarray], distances: np.ndarray) -> list[np.ndarray]:
+        order = np.argsort(-_least(distances, (INVISIBLE * problem.floor) ** 2))[:JUDGED]
+        return [motions[i] for i in order]
+
+    visible = TELLING * problem.floor**2
+    near = apart(drawn[:GLANCED])
+    if near.max() < FAINT * visible:
+        return None
+    near = np.vstack([near, apart(drawn[GLANCED:])])
+    best = promising(drawn, near)
+    mixtures = [mixed(one, drawn[int(rng.integers(DRAWN))], rng) for one in best for _ in range(CHANGED)]
+    further = apart(mixtures)
+    if max(near.max(), further.max()) < SHORT * visible:
         return None  # before what their numbers can make up for, which takes long to simulate
-    best += more
+    best += promising(mixtures, further)
     worth = 0.5 * TELLING * (len(best[0]) - RESTED) * int(problem.counted.sum()) / problem.settings.stride
     each = np.array([evidences(problem, contenders, best, one) for one in under])
     sure = _least(each.max(axis=0), worth)

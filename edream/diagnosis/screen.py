@@ -32,12 +32,15 @@ from edream.sim.simulation import Placement, SimulatedRobot, write_fields
 FINALISTS = 16
 WORTH_A_LOOK = 0.002  # share
 TOGETHER = 1.2  # times the share of the best single joint, from which several that are not tied are tried as one
-ENOUGH = 25.0  # s of motion that a score test and first steps need
+ENOUGH = 20.0  # s of motion that a score test and first steps need
 SCANNED = 20.0  # s of motion that tells lengths of waves
 Unexplained = Callable[[Float[np.ndarray, "N R"]], Float[np.ndarray, "N"]]
 log = logging.getLogger(__name__)
 LARGEST_ALPHA = 20.0
-WIDE, CLOSE = (0.5, 1.0, 1.8), (0.5, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2, 1.35, 1.8)  # sizes tried of an effect; of a limit
+WIDE, CLOSE = (0.5, 1.8), (0.5, 0.7, 0.8, 0.9, 1.1, 1.2, 1.35, 1.8)  # other sizes tried of an effect; of a limit
+HARDLY = 0.1  # of the best share: what explains less is looked at in one size alone
+MOST = 0.5  # of the gap
+NEARLY = 0.97  # of so much motion is enough: recordings of 10 s end a little before
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +76,8 @@ def screen(problem: Problem, fit: Fit, done: Callable[[int], object] = lambda n:
         first += found
         done(1)
     last = with_scan(problem, fit, finalists(worthwhile(problem, first)))
-    second = side_by_side(lambda s: confirm(problem, fit, s, unexplained, total), last, problem.settings.threads)
+    most = max((s.share for s in last), default=0.0)
+    second = side_by_side(lambda s: confirm(problem, fit, s, most, unexplained, total), last, problem.settings.threads)
     out = sorted((s for s in second if s is not None), key=lambda s: -s.share)
     done(1)
     return out
@@ -85,12 +89,12 @@ def lightened(problem: Problem, fit: Fit) -> Fit:
 
 
 def thinned(fit: Fit, seconds: float) -> Fit:
-    """The fit on those of its motions that are off most, as few as last `seconds` together: there a missing effect shows."""
+    """The fit on those of its motions that are off most, as few as last some `seconds` together: there a missing effect shows."""
     windows = fit.objective.windows
     off = np.bincount(fit.objective.owner, fit.residual**2)
     order = np.argsort(-off, kind="stable")
     lasted = np.cumsum([float(windows[int(i)].times[-1]) for i in order])
-    kept = np.sort(order[: int(np.searchsorted(lasted, seconds)) + 1])
+    kept = np.sort(order[: int(np.searchsorted(lasted, NEARLY * seconds)) + 1])
     if len(kept) == len(windows):
         return fit
     rows = np.isin(fit.objective.owner, kept)
@@ -179,10 +183,14 @@ def _probe_round(problem: Problem, fit: Fit, candidates: Sequence[Candidate], to
 
 
 def with_scan(problem: Problem, fit: Fit, finalists: Sequence[Scored]) -> list[Scored]:
-    """The finalists, the likeliest wave among them probed at every length: no slope leads from one to the next."""
+    """The finalists, the likeliest wave among them probed at every length: no slope leads from one to the next.
+
+    Not so where something else explains most of the gap: what is left of it then is for a further round.
+    """
     waves_ = [s for s in finalists if placement(problem, s.candidate).effect.phase is not None]
     best = max(waves_, key=lambda s: s.share, default=None)
-    return [scanned(problem, fit, s) if s is best else s for s in finalists]
+    others = max((s.share for s in finalists if s not in waves_), default=0.0)
+    return [scanned(problem, fit, s) if s is best and others < MOST else s for s in finalists]
 
 
 def scanned(problem: Problem, fit: Fit, scored: Scored) -> Scored:
@@ -261,18 +269,27 @@ def _own_rows(problem: Problem, fit: Fit, candidate: Candidate) -> tuple[np.ndar
     return rows, columns if len(columns) else every_column
 
 
-def confirm(problem: Problem, fit: Fit, scored: Scored, unexplained: Unexplained, total: float) -> Scored | None:
-    """A candidate alone, simulated at some sizes around where the score test puts it; None where nothing helps."""
+def confirm(problem: Problem, fit: Fit, scored: Scored, most: float, unexplained: Unexplained, total: float) -> Scored | None:
+    """A candidate alone, simulated where the score test puts it; None where nothing helps.
+
+    Other sizes are tried, too, where either of the two tests gives it a share worth it beside the best one's, `most`.
+    """
     place = placement(problem, scored.candidate)
     extended, absent = extend(fit, [place])
-    limits = any(is_limit(parameter) for parameter in place.effect.parameters(problem.robot.model, place.targets))
-    starts = [s for factor in (CLOSE if limits else WIDE) if (s := scaled_probe(place, problem, scored.start, factor)) is not None]
-    if not starts:
-        return None
-    left = unexplained(extended.residuals(np.array([with_quantities(extended, absent, [place], [start]) for start in starts])))
-    best = int(np.argmin(left))
-    share = 1.0 - left[best] / total
-    return Scored(scored.candidate, starts[best], share) if share > 0.0 else None
+
+    def shares(factors: Sequence[float]) -> list[Scored]:
+        starts = [s for factor in factors if (s := scaled_probe(place, problem, scored.start, factor)) is not None]
+        if not starts:
+            return []
+        left = unexplained(extended.residuals(np.array([with_quantities(extended, absent, [place], [one]) for one in starts])))
+        return [Scored(scored.candidate, start, 1.0 - float(one) / total) for start, one in zip(starts, left, strict=True)]
+
+    found = shares([1.0])
+    if max([scored.share, *(one.share for one in found)]) >= HARDLY * most:
+        limits = any(is_limit(parameter) for parameter in place.effect.parameters(problem.robot.model, place.targets))
+        found += shares(CLOSE if limits else WIDE)
+    best = max(found, key=lambda one: one.share, default=None)
+    return best if best is not None and best.share > 0.0 else None
 
 
 def extend(fit: Fit, placements: Sequence[Placement]) -> tuple[Objective, Float[np.ndarray, "P"]]:

@@ -35,6 +35,7 @@ REFITTED, GROUPS, FINISHED = 8, 4, 4
 LIKELIEST = 3  # by the score test: they are refitted on whole motions even where candidates are tried boldly
 HOPELESS = 0.4  # of the best candidate's gain after two steps: those below are not refitted to the end
 SERIOUS_SHARE = 0.01
+TOLD = 0.02  # of the squared error: what a candidate's search gains less by does not change what it is worth beside others
 STRONG = 5.0  # probes
 SHAPED = 1.5  # floors of error from which a winner is tried in its other shapes
 SHAPES = 3  # so many of them
@@ -108,7 +109,7 @@ def gone_on(fit: Fit, near: Fit, joints: frozenset[str] = frozenset()) -> Fit:
         simulated = fit.objective.simulated.with_placements(near.objective.simulated.placements)
         whole = replace(fit.objective, simulated=simulated, simulations=0)
         near = with_column(fit, whole, near.values, own)
-    return descend(near, own, iterations=4)
+    return descend(near, own, iterations=4, tolerance=TOLD)
 
 
 def try_boldly(
