@@ -8,9 +8,20 @@ from jaxtyping import Float
 
 from edream.catalog import load
 from edream.core.effect import Effect
+from edream.diagnosis.backward import without
 from edream.diagnosis.candidates import Candidate, acted_on, confused_with, placement, untouched
 from edream.diagnosis.descent import Fit, begin, descend, polish
-from edream.diagnosis.left_out import HALF, bootstrap, falls_short, gained_on, is_brief, is_real, joint_errors, left_out_errors
+from edream.diagnosis.left_out import (
+    HALF,
+    bootstrap,
+    falls_short,
+    gained_on,
+    is_brief,
+    is_real,
+    joint_errors,
+    leaves_no_gap,
+    left_out_errors,
+)
 from edream.diagnosis.narrowing import narrowed
 from edream.diagnosis.problem import VISIBLE, Problem
 from edream.diagnosis.remainder import Remainder, find_remainder
@@ -24,7 +35,6 @@ from edream.diagnosis.trials import (
     SHAPES,
     Trial,
     arrived,
-    as_published,
     beside,
     gone_on,
     judged,
@@ -188,11 +198,6 @@ def to_their_ends(problem: Problem, fits: Sequence[Fit]) -> list[Fit]:
     return found
 
 
-def leaves_no_gap(problem: Problem, fit: Fit) -> bool:
-    """Whether a fit is as near the motions that it was fitted to as one can tell."""
-    return fit.rms <= (1.0 + VISIBLE) * problem.floor
-
-
 def restarted(problem: Problem, errors: Float[np.ndarray, "M"], trials: Sequence[Trial]) -> list[Trial]:
     """The trials; where the best leaves a gap, its near rivals also from the nuisance numbers that it found.
 
@@ -340,40 +345,6 @@ def stands(problem: Problem, candidate: Candidate, fit: Fit) -> bool:
         inside = BOUND <= unit[parameter.name] <= 1.0 - BOUND  # in the box that is searched, logarithmic for a limit
         away.append(excludes and inside)
     return any(away)
-
-
-def backward(problem: Problem, fit: Fit, named: Sequence[Candidate]) -> tuple[Fit, list[Candidate]]:
-    """Take out effects that later ones explain: those without which left-out motions are predicted as well."""
-    kept = list(named)
-    for candidate in list(named)[:-1] if len(named) > 1 else []:
-        errors = left_out_errors(problem, fit)
-        refitted = refitted_without(problem, fit, candidate)
-        gain = left_out_errors(problem, refitted) - errors
-        low, _ = bootstrap(gain, problem.settings.seed)
-        gap = max(float((errors + gain).mean()) - problem.floor**2, 1e-18)
-        if low <= 0.0 or float(gain.mean()) / gap < problem.settings.gain:
-            fit, kept = refitted, [c for c in kept if c != candidate]
-    return fit, kept
-
-
-def refitted_without(problem: Problem, fit: Fit, candidate: Candidate) -> Fit:
-    """The fit without one effect, from where it is and, for its numbers may have made up for something, from published ones."""
-    smaller = without(fit, candidate)
-    space = smaller.space
-    plain = as_published(problem, space.names, smaller.values, candidate)
-    again = begin(smaller.objective, np.clip(space.to_unit(plain), 0.0, 1.0))
-    return min((descend(smaller, None, 3), descend(again, None, 6)), key=lambda one: one.rms)
-
-
-def without(fit: Fit, candidate: Candidate) -> Fit:
-    """The fit's model without one effect, from the same values of all others."""
-    simulated = fit.objective.simulated
-    gone = next(p for p in simulated.placements if (p.effect.name, p.targets) == (candidate.effect, candidate.targets))
-    dropped = {p.name for p in gone.parameters(simulated.robot.model)}
-    keep = np.array([name not in dropped for name in fit.space.names])
-    smaller = replace(fit.objective, simulated=simulated.with_placements([p for p in simulated.placements if p is not gone]))
-    residual = smaller.residuals(smaller.simulated.space.from_unit(fit.unit[keep]))[0]
-    return Fit(smaller, fit.unit[keep], residual, fit.jacobian[:, keep], worth(smaller, residual))
 
 
 def rivals(problem: Problem, trials: Sequence[Trial], winner: Trial) -> list[tuple[Trial, bool]]:

@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from edream.diagnosis.descent import Fit, step_from
-from edream.diagnosis.problem import Problem, credible
+from edream.diagnosis.problem import VISIBLE, Problem, credible
 from edream.sim.objective import UNSTABLE_RESIDUAL, rms
 from edream.sim.rollout import rollout_each
 
@@ -98,6 +98,11 @@ def far_off(problem: Problem, fit: Fit) -> bool:
     if fit.rms > FAR * problem.floor:
         return True
     return joint_errors(problem, fit).max() > CLEAR * problem.floor and not credible(problem, fit.space.mapping(fit.values))
+
+
+def leaves_no_gap(problem: Problem, fit: Fit) -> bool:
+    """Whether a fit is as near the motions that it was fitted to as one can tell."""
+    return fit.rms <= (1.0 + VISIBLE) * problem.floor
 
 
 def is_small(fit: Fit) -> bool:

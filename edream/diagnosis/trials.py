@@ -10,7 +10,7 @@ from edream.core.effect import Effect
 from edream.core.parameters import targets_in
 from edream.diagnosis.candidates import Candidate, acted_on, library, placement, probes_of, rounds
 from edream.diagnosis.descent import Fit, begin, descend, stretches
-from edream.diagnosis.left_out import HALF, bootstrap, far_off, is_small, left_out_errors, worst_joint
+from edream.diagnosis.left_out import HALF, bootstrap, far_off, is_small, leaves_no_gap, left_out_errors, worst_joint
 from edream.diagnosis.problem import Problem, nuisance_placements
 from edream.diagnosis.screen import (
     ENOUGH,
@@ -72,12 +72,13 @@ def try_best(
     """Refit the candidates with the largest shares; best on left-out motions first."""
     if far_off(problem, fit) and is_small(fit):
         places = [*{s.candidate.effect: s for s in reversed(scored)}.values(), *overlooked(problem, fit, scored)]
-        bold = try_boldly(problem, fit, errors, places, done)
-        # short stretches forget what was before them (friction that is bent, an integral): the likeliest go over whole motions, too
-        likely = {s.candidate: s for s in (*scored[:LIKELIEST], *nearer_beside_published(problem, fit, places))}
-        lost = [s for c, s in likely.items() if c not in [t.candidate for t in bold]]
-        more = side_by_side(lambda one: refit(problem, fit, errors, one), lost, problem.settings.threads)
-        return sorted([*bold, *more], key=lambda t: -t.closed)
+        likely = {s.candidate: s for s in (*scored[:LIKELIEST], *nearer_beside_published(problem, thinned(fit, ENOUGH), places))}
+        plain = list(side_by_side(lambda one: refit(problem, fit, errors, one), list(likely.values()), problem.settings.threads))
+        if not any(t.sure and leaves_no_gap(problem, t.fit) for t in plain):
+            # short stretches forget what was before them (friction that is bent, an integral): both searches count
+            bold = try_boldly(problem, fit, errors, places, done)
+            plain = {t.candidate: t for t in sorted([*plain, *bold], key=lambda t: t.closed)}.values()
+        return sorted(plain, key=lambda t: -t.closed)
     serious = [s for s in scored if s.share >= SERIOUS_SHARE]
     # one set of numbers for a hardware group rests on all its joints, which the test of single joints undervalues
     groups = [s for s in serious if len(s.candidate.targets) > 1][:GROUPS]
@@ -117,7 +118,7 @@ def try_boldly(
 ) -> list[Trial]:
     """Candidates, each from the best of several starts, on short stretches first; the best ones all the way."""
     small = is_small(fit)
-    brief = on_stretches(problem, fit if small else thinned(fit, ENOUGH))
+    brief = on_stretches(problem, thinned(fit, 2.0 * ENOUGH if small else ENOUGH))
 
     def roughly(one: Scored) -> tuple[Fit, Scored]:
         place = placement(problem, one.candidate)

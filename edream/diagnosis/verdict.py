@@ -10,8 +10,9 @@ from jaxtyping import Float
 from edream.catalog import load
 from edream.core.effect import Effect
 from edream.core.parameters import Parameter
+from edream.diagnosis.backward import backward
 from edream.diagnosis.candidates import Candidate, placement
-from edream.diagnosis.decide import ALIKE, Round, backward, forward, rivals
+from edream.diagnosis.decide import ALIKE, Round, forward, rivals
 from edream.diagnosis.descent import Fit, polish
 from edream.diagnosis.left_out import REAL_GAP, bootstrap, falls_short, is_real, left_out_errors, proof_errors
 from edream.diagnosis.nuisance import fit_nuisance, published, with_shares

@@ -1,0 +1,47 @@
+"""Backward steps: effects that later ones explain go out again."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from edream.diagnosis.candidates import Candidate
+from edream.diagnosis.descent import Fit, begin, descend
+from edream.diagnosis.left_out import bootstrap, left_out_errors
+from edream.diagnosis.problem import Problem
+from edream.diagnosis.trials import as_published
+from edream.sim.least_squares import worth
+
+
+def backward(problem: Problem, fit: Fit, named: Sequence[Candidate]) -> tuple[Fit, list[Candidate]]:
+    """Take out effects that later ones explain: those without which left-out motions are predicted as well."""
+    kept = list(named)
+    for candidate in list(named)[:-1] if len(named) > 1 else []:
+        errors = left_out_errors(problem, fit)
+        refitted = refitted_without(problem, fit, candidate)
+        gain = left_out_errors(problem, refitted) - errors
+        low, _ = bootstrap(gain, problem.settings.seed)
+        gap = max(float((errors + gain).mean()) - problem.floor**2, 1e-18)
+        if low <= 0.0 or float(gain.mean()) / gap < problem.settings.gain:
+            fit, kept = refitted, [c for c in kept if c != candidate]
+    return fit, kept
+
+
+def refitted_without(problem: Problem, fit: Fit, candidate: Candidate) -> Fit:
+    """The fit without one effect, from where it is and, for its numbers may have made up for something, from published ones."""
+    smaller = without(fit, candidate)
+    space = smaller.space
+    plain = as_published(problem, space.names, smaller.values, candidate)
+    again = begin(smaller.objective, np.clip(space.to_unit(plain), 0.0, 1.0))
+    return min((descend(smaller, None, 3), descend(again, None, 6)), key=lambda one: one.rms)
+
+
+def without(fit: Fit, candidate: Candidate) -> Fit:
+    """The fit's model without one effect, from the same values of all others."""
+    simulated = fit.objective.simulated
+    gone = next(p for p in simulated.placements if (p.effect.name, p.targets) == (candidate.effect, candidate.targets))
+    dropped = {p.name for p in gone.parameters(simulated.robot.model)}
+    keep = np.array([name not in dropped for name in fit.space.names])
+    smaller = replace(fit.objective, simulated=simulated.with_placements([p for p in simulated.placements if p is not gone]))
+    residual = smaller.residuals(smaller.simulated.space.from_unit(fit.unit[keep]))[0]
+    return Fit(smaller, fit.unit[keep], residual, fit.jacobian[:, keep], worth(smaller, residual))
