@@ -46,20 +46,35 @@ def test_larger_models_are_tried_boldly_from_far_off_where_nothing_closes_half(
         assert after == before
 
 
-def test_what_the_score_test_points_at_is_refitted_on_whole_motions_where_others_are_tried_boldly(
-    monkeypatch: pytest.MonkeyPatch,
+@pytest.mark.parametrize(
+    ("gap", "found"),
+    [
+        (True, {"presliding": 0.6, "spring": 0.9, "payload": 0.6, "integral_action": 0.6, "backlash": 0.4}),
+        (False, {"presliding": 0.6, "spring": 0.6, "payload": 0.6, "integral_action": 0.6}),
+    ],
+)
+def test_every_effect_is_tried_boldly_only_where_the_likeliest_leave_a_gap(
+    monkeypatch: pytest.MonkeyPatch, gap: bool, found: dict[str, float]
 ) -> None:
-    monkeypatch.setattr(trials, "is_small", lambda fit: True)
-    monkeypatch.setattr(trials, "far_off", lambda problem, fit: True)
-    monkeypatch.setattr(trials, "overlooked", lambda problem, fit, scored: [])
-    monkeypatch.setattr(trials, "try_boldly", lambda problem, fit, errors, places, done: [_trial("spring", 0.4)])
-    monkeypatch.setattr(trials, "refit", lambda problem, fit, errors, one: _trial(one.candidate.effect, 0.9))
+    """The likeliest by the score test and beside the published numbers go over whole motions; of two searches the better counts."""
+    bold = [_trial("spring", 0.9), _trial("backlash", 0.4)]
     near = [Scored(Candidate("integral_action", ("tilt",)), {}, 0.0)]
-    monkeypatch.setattr(trials, "nearer_beside_published", lambda problem, fit, places: near)
+    told = {
+        "is_small": lambda fit: True,
+        "far_off": lambda problem, fit: True,
+        "thinned": lambda fit, seconds: fit,
+        "overlooked": lambda problem, fit, scored: [],
+        "try_boldly": lambda problem, fit, errors, places, done: bold,
+        "refit": lambda problem, fit, errors, one: _trial(one.candidate.effect, 0.6),
+        "nearer_beside_published": lambda problem, fit, places: near,
+        "leaves_no_gap": lambda problem, fit: not gap and fit.name == "payload",
+    }
+    for name, stand_in in told.items():
+        monkeypatch.setattr(trials, name, stand_in)
     scored = [Scored(Candidate(name, ("tilt",)), {}, 0.5) for name in ("presliding", "spring", "payload", "coulomb")]
-    found = trials.try_best(SimpleNamespace(settings=SimpleNamespace(threads=1)), None, np.zeros(4), scored)
-    assert [t.candidate.effect for t in found] == ["presliding", "payload", "integral_action", "spring"]
-    assert [t.closed for t in found] == [0.9, 0.9, 0.9, 0.4]
+    best = trials.try_best(SimpleNamespace(settings=SimpleNamespace(threads=1)), None, np.zeros(4), scored)
+    assert {t.candidate.effect: t.closed for t in best} == found
+    assert [t.closed for t in best] == sorted(found.values(), reverse=True)
 
 
 def _refits_to(monkeypatch: pytest.MonkeyPatch, end: Trial) -> None:
