@@ -113,8 +113,10 @@ policy-physics-%: .venv/ready
 bench-dream: .venv/ready
 	$(RUN)/python -m benchmarks.bench_dream
 
+# Two processes: most tests keep one core busy.
+TESTS := -n 2 --dist worksteal
 test: .venv/ready
-	$(RUN)/python -m pytest -m "not slow" -q --durations=20 --durations-min=5
+	$(RUN)/python -m pytest -m "not slow" -q $(TESTS) --durations=20 --durations-min=5
 
 slow: .venv/ready
 	$(RUN)/python -m pytest -m slow -q
