@@ -10,7 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from edream.core.errors import unknown_name
+from edream.core.errors import EdreamError, unknown_name
 from edream.reality.effects import KINDS
 from edream.record import RecordConfig, record, truth_path
 from edream.sim.robot import RobotModel, load_robot
@@ -103,7 +103,13 @@ def cases(robots: Sequence[str], sorts: Sequence[str], seeds: int, only: Sequenc
 
 
 def drawn(chosen: Sequence[Case], count: int, seed: int) -> list[Case]:
-    """So many of some cases, drawn at random, in the order of the draw: however far a run gets, it has seen a fair sample."""
+    """So many of some cases, drawn at random, in the order of the draw: however far a run gets, it has seen a fair sample.
+
+    Raises:
+        EdreamError: `count` is none of 1 and more.
+    """
+    if count < 1:
+        raise EdreamError(f"--sample is {count}; expected 1 or more of the {len(chosen)} cases.")
     order = np.random.default_rng([seed, 17]).permutation(len(chosen))
     return [chosen[int(i)] for i in order[:count]]
 

@@ -39,7 +39,7 @@ log = logging.getLogger(__name__)
 LARGEST_ALPHA = 20.0
 WIDE, CLOSE = (0.5, 1.8), (0.5, 0.7, 0.8, 0.9, 1.1, 1.2, 1.35, 1.8)  # other sizes tried of an effect; of a limit
 HARDLY = 0.1  # of the best share: what explains less is looked at in one size alone
-MOST = 0.5  # of the gap
+MOST = 0.5  # of the gap: where something else explains as much, lengths of waves are not gone through
 NEARLY = 0.97  # of so much motion is enough: recordings of 10 s end a little before
 
 

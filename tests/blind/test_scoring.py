@@ -153,6 +153,8 @@ def test_a_longer_sample_begins_with_the_shorter_one_and_another_seed_draws_othe
     assert set(more) <= set(every)
     assert {case.robot for case in more} == set(SITES)
     assert drawn(every, 20, 6) != few
+    with pytest.raises(EdreamError, match="--sample is 0; expected 1 or more"):
+        drawn(every, 0, 5)
 
 
 def test_finished_cases_are_kept_and_a_line_cut_short_is_not_one(tmp_path: Path) -> None:

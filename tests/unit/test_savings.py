@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from edream.diagnosis import decide, left_out, screen
+from edream.diagnosis import decide, left_out, next_motion, screen
 from edream.diagnosis.candidates import Candidate
 from edream.diagnosis.descent import Fit, descend
 from edream.diagnosis.next_motion import GLANCED, SECONDS, suggest
@@ -100,8 +100,6 @@ def test_motions_left_out_need_no_simulation_where_the_fit_is(
 
 
 def test_a_glance_is_enough_where_no_motion_parts_two_models(monkeypatch: pytest.MonkeyPatch, problem: Problem, fit: Fit) -> None:
-    from edream.diagnosis import next_motion
-
     seconds, run = [], next_motion.rollout
 
     def counted(simulated: Any, values: Any, windows: Any, threads: int) -> Any:
