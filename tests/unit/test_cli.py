@@ -1,5 +1,4 @@
 import json
-import resource
 import subprocess
 import sys
 
@@ -14,25 +13,19 @@ def edream(*arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run([*PROGRAM, *arguments], capture_output=True, text=True, timeout=120)
 
 
-def test_help_answers_at_once_with_examples() -> None:
-    said, spent = "", []
-    for _ in range(4):
-        before = resource.getrusage(resource.RUSAGE_CHILDREN)
-        said = edream("--help").stdout
-        after = resource.getrusage(resource.RUSAGE_CHILDREN)
-        spent.append(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
-    # the least processor time, not the clock: other work on the machine must not fail this
-    assert min(spent) < 0.3
+def test_help_shows_examples() -> None:
+    said = edream("--help").stdout
     assert "Examples" in said and "edream ingest" in said
 
 
-def test_help_imports_no_heavy_library() -> None:
+def test_help_imports_nothing_but_what_prints_it() -> None:
+    """What makes help slow is what it imports; how long that takes is the machine's affair."""
     code = "import sys; from typer.testing import CliRunner; from edream.cli import app; CliRunner().invoke(app, ['--help'])"
-    heavy = "{'torch', 'mujoco', 'numpy', 'hydra', 'pyarrow', 'scipy'}"
-    loaded = subprocess.run(
-        [sys.executable, "-c", f"{code}; print({heavy} & set(sys.modules))"], capture_output=True, text=True, check=True
-    )
-    assert loaded.stdout.strip() == "set()"
+    others = "{name.split('.')[0] for name in sys.modules} - set(sys.stdlib_module_names)"
+    said = subprocess.run([sys.executable, "-c", f"{code}; print(*({others}))"], capture_output=True, text=True, check=True)
+    loaded = set(said.stdout.split())
+    printers = {"typer", "rich", "pygments", "markdown_it", "mdurl", "shellingham", "annotated_doc", "attr", "click"}
+    assert {"edream", "typer"} <= loaded <= {"__main__", "_distutils_hack", "edream", *printers}
 
 
 @pytest.mark.parametrize("command", [one.callback.__name__.replace("_", "-") for one in cli.app.registered_commands])
