@@ -40,6 +40,7 @@ LARGEST_ALPHA = 20.0
 WIDE, CLOSE = (0.5, 1.8), (0.5, 0.7, 0.8, 0.9, 1.1, 1.2, 1.35, 1.8)  # other sizes tried of an effect; of a limit
 HARDLY = 0.1  # of the best share: what explains less is looked at in one size alone
 MOST = 0.5  # of the gap: where something else explains as much, lengths of waves are not gone through
+TINY = 1e-300
 NEARLY = 0.97  # of so much motion is enough: recordings of 10 s end a little before
 
 
@@ -89,18 +90,39 @@ def lightened(problem: Problem, fit: Fit) -> Fit:
 
 
 def thinned(fit: Fit, seconds: float) -> Fit:
-    """The fit on those of its motions that are off most, as few as last some `seconds` together: there a missing effect shows."""
+    """The fit on as few of its motions as last some `seconds` together, and stand for all: there a missing effect shows."""
     windows = fit.objective.windows
-    off = np.bincount(fit.objective.owner, fit.residual**2)
-    order = np.argsort(-off, kind="stable")
-    lasted = np.cumsum([float(windows[int(i)].times[-1]) for i in order])
-    kept = np.sort(order[: int(np.searchsorted(lasted, NEARLY * seconds)) + 1])
+    squares = np.array([(part**2).sum(axis=0) for part in fit.objective.per_window(fit.residual)])
+    kept = standing_for_all(squares, np.array([float(w.times[-1]) for w in windows]), seconds)
     if len(kept) == len(windows):
         return fit
     rows = np.isin(fit.objective.owner, kept)
     offset = None if fit.objective.offset is None else fit.objective.offset[rows]
-    objective = replace(fit.objective, windows=[windows[int(i)] for i in kept], simulations=0, offset=offset)
+    objective = replace(fit.objective, windows=[windows[i] for i in kept], simulations=0, offset=offset)
     return replace(fit, objective=objective, residual=fit.residual[rows], jacobian=fit.jacobian[rows])
+
+
+def standing_for_all(squares: Float[np.ndarray, "M J"], lasts: Float[np.ndarray, "M"], seconds: float) -> list[int]:
+    """Numbers of the motion that is off most, and of others beside it, among those that are off more than half of all are.
+
+    Each time the one whose error makes the joints' shares of it most like those in all motions: the few that are off most may be
+    off by something of their own, on one joint, and what is on all joints alike goes unseen in them.
+
+    Args:
+        squares: squared error of each joint in each motion.
+        lasts: how long each motion is [s].
+        seconds: how much motion is enough.
+    """
+    shares = squares.sum(axis=0) / max(float(squares.sum()), TINY)
+    first, *left = np.argsort(-squares.sum(axis=1), kind="stable").tolist()
+    kept = [first]
+    while left and lasts[kept].sum() < NEARLY * seconds:
+        near = left[: max(len(lasts) // 2 - len(kept), 1)]
+        beside = squares[kept].sum(axis=0) + squares[near]
+        unlike = np.abs(beside / np.maximum(beside.sum(axis=1, keepdims=True), TINY) - shares).sum(axis=1)
+        kept.append(near[int(np.argmin(unlike))])
+        left.remove(kept[-1])
+    return sorted(kept)
 
 
 def worthwhile(problem: Problem, scored: Sequence[Scored]) -> list[Scored]:

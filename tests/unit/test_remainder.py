@@ -10,7 +10,7 @@ import pytest
 
 from benchmarks.blind.cases import robot_of
 from edream.core.episode import Episode
-from edream.diagnosis import verdict
+from edream.diagnosis import remainder, verdict
 from edream.diagnosis.left_out import left_out_errors
 from edream.diagnosis.nuisance import fit_nuisance
 from edream.diagnosis.problem import Settings, prepare
@@ -81,7 +81,7 @@ def weakened(robot: RobotModel, seed: int) -> Episode:
 def test_a_servo_that_is_weak_at_one_place_is_described_by_its_torque_there() -> None:
     robot = robot_of("pan_tilt")
     assert robot is not None
-    problem = prepare(robot, [weakened(robot, seed) for seed in range(6)], Settings())
+    problem = prepare(robot, [weakened(robot, seed) for seed in range(5)], Settings())
     fit = fit_nuisance(problem)
     found = find_remainder(problem, fit)
     assert found is not None and found.real and found.joint == "tilt"
@@ -101,3 +101,40 @@ def test_names_that_fall_short_go_where_a_formula_alone_does_as_well(
     monkeypatch.setattr(verdict, "find_remainder", lambda problem, fit, beside_names=False: beside if beside_names else instead)
     found = verdict.unexplained(problem, "before", "fit", first, left, ["one"])  # type: ignore[arg-type, list-item]
     assert found is (beside if told else instead)
+
+
+@pytest.mark.parametrize(
+    ("left", "looks", "kept"),
+    [
+        ([5.0, 1.5], 1, 1.5),  # the first closes the gap
+        ([20.0, 4.0], 1, 4.0),  # or nearly all of a large one
+        ([5.0, 3.0, 2.5, 2.2], 3, 2.2),  # each leaves one and is better: as many as are looked for
+        ([5.0, 3.0, 3.1, 1.0], 2, 3.0),  # the second is worse on motions left out
+        ([5.0, 3.0, None], 2, 3.0),  # nothing more explains enough
+        ([5.0, None], 1, None),
+    ],
+)
+def test_a_formula_is_looked_at_again_where_it_leaves_a_gap_and_as_long_as_it_gets_better(
+    left: list[float | None], looks: int, kept: float | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    floor = 3e-4
+    problem: Any = type("Small", (), {"floor": floor, "settings": Settings()})()
+    asked: list[Any] = []
+
+    def longer(problem: Any, fit: str, joint: str, found: Any) -> tuple[int, str] | None:
+        asked.append(found and found.fit)
+        return None if left[len(asked)] is None else (len(asked), "placement")
+
+    def errors(problem: Any, fit: Any) -> np.ndarray:
+        return np.full(6, ((left[fit if isinstance(fit, int) else 0] or 0.0) * floor) ** 2)
+
+    monkeypatch.setattr(remainder, "_longer", longer)
+    monkeypatch.setattr(remainder, "left_out_errors", errors)
+    monkeypatch.setattr(remainder, "worst_joint", lambda problem, fit: "tilt")
+    monkeypatch.setattr(remainder, "_formula", lambda fit, placement: "tau = ...")
+    found = find_remainder(problem, "fit")  # type: ignore[arg-type]
+    assert len(asked) == looks and asked[:2] == [None, 1][:looks], "each look begins where the last one ended"
+    if kept is None:
+        assert found is None
+    else:
+        assert found is not None and found.real and found.errors == pytest.approx((kept * floor) ** 2)

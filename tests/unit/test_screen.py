@@ -27,12 +27,11 @@ def test_two_probes_a_quarter_turn_apart_find_a_wave_of_any_phase(phase: float) 
     assert abs(float(away @ hidden)) < 0.3 * np.linalg.norm(away) * np.linalg.norm(hidden)
 
 
-@pytest.mark.parametrize("seed", [21, 22])
-def test_the_score_test_points_at_a_torque_limit_far_below_where_a_servo_has_none(seed: int) -> None:
+def test_the_score_test_points_at_a_torque_limit_far_below_where_a_servo_has_none() -> None:
     robot = robot_of("pan_tilt")
     assert robot is not None
-    truth = draw(robot, ("torque_saturation",), np.random.default_rng(seed), 0.3, ())
-    made = make_recordings(robot, truth, seed, 6, 5.0, Recorder())
+    truth = draw(robot, ("torque_saturation",), np.random.default_rng(21), 0.3, ())
+    made = make_recordings(robot, truth, 21, 6, 5.0, Recorder())
     episodes = [Episode(r.name, robot.joints, r.times, r.position, r.command_times, r.command) for r in made]
     looked_at = prepare(robot, episodes, Settings(effects=("torque_limit", "quadratic_drag", "load_friction", "stribeck")))
     first = screen(looked_at, fit_nuisance(looked_at))[0]

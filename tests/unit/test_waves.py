@@ -29,7 +29,7 @@ def motion(number: int, joints: tuple[str, ...]) -> Episode:
 def test_a_ripple_between_two_coarse_lengths_is_found() -> None:
     robot = robot_of("pan_tilt")
     assert robot is not None
-    windows = whole([motion(n, robot.joints) for n in range(6)])
+    windows = whole([motion(n, robot.joints) for n in range(4)])
     rippled = SimulatedRobot(
         robot, (placement(prepare(robot, [w.episode for w in windows], Settings()), Candidate("cogging", ("pan",))),)
     )
