@@ -29,7 +29,8 @@ from edream.sim.simulation import Placement
 
 NARROW, WIDE = 16, 5  # bumps over a joint's travel, of two widths
 MOST_TERMS = 8
-LOOKS, OPEN = 3, 0.1  # at most, while such a share of the squared gap above the floor is left
+LOOKS = 3  # at most
+OPEN = 0.1  # of the squared gap above the floor: a formula that leaves less is not looked at again
 ENOUGH = 50.0  # s of motion on which terms are chosen
 SMALLEST_GAIN = 0.03  # share of the residual that a further term must explain
 FEATURES = (
@@ -151,7 +152,7 @@ def find_remainder(problem: Problem, fit: Fit, beside_names: bool = False) -> Re
 
 @lru_cache(maxsize=2)  # one model is asked about twice in a diagnosis: beside its candidates, and where none stood
 def _found(problem: Problem, fit: Fit) -> Remainder | None:
-    """A formula; where it leaves a gap, terms are looked for again at its numbers: there they do not what they did far away."""
+    """A formula; where it leaves a gap, terms are looked for again from its numbers, where their responses are other ones."""
     joint, before = worst_joint(problem, fit), left_out_errors(problem, fit)
     found = None
     for _ in range(LOOKS):
@@ -194,7 +195,7 @@ def _longer(problem: Problem, fit: Fit, joint: str, found: Remainder | None) -> 
     return descend(with_column(base, begun, start), fresh_columns(fit, begun), iterations=6), small
 
 
-def _torque(placement: Placement) -> "ResidualTorque":
+def _torque(placement: Placement) -> ResidualTorque:
     assert isinstance(placement.effect, ResidualTorque)
     return placement.effect
 
@@ -235,7 +236,7 @@ def chosen_terms(problem: Problem, fit: Fit, residuals: Float[np.ndarray, "F R"]
         problem: whose seed deals the motions into folds.
         fit: the model without the terms.
         residuals: without any term [rad], and with a little of each.
-        most: terms to choose.
+        most: how many terms may be chosen.
     """
     changes, residual = (residuals[1:] - residuals[0]).T, residuals[0]
     owner = np.asarray(fit.objective.owner)

@@ -40,7 +40,7 @@ LARGEST_ALPHA = 20.0
 WIDE, CLOSE = (0.5, 1.8), (0.5, 0.7, 0.8, 0.9, 1.1, 1.2, 1.35, 1.8)  # other sizes tried of an effect; of a limit
 HARDLY = 0.1  # of the best share: what explains less is looked at in one size alone
 MOST = 0.5  # of the gap: where something else explains as much, lengths of waves are not gone through
-TINY = 1e-300
+TINY = 1e-300  # keeps shares of no error at all finite
 NEARLY = 0.97  # of so much motion is enough: recordings of 10 s end a little before
 
 
@@ -93,7 +93,7 @@ def thinned(fit: Fit, seconds: float) -> Fit:
     """The fit on as few of its motions as last some `seconds` together, and stand for all: there a missing effect shows."""
     windows = fit.objective.windows
     squares = np.array([(part**2).sum(axis=0) for part in fit.objective.per_window(fit.residual)])
-    kept = standing_for_all(squares, np.array([float(w.times[-1]) for w in windows]), seconds)
+    kept = representative(squares, np.array([float(w.times[-1]) for w in windows]), seconds)
     if len(kept) == len(windows):
         return fit
     rows = np.isin(fit.objective.owner, kept)
@@ -102,14 +102,14 @@ def thinned(fit: Fit, seconds: float) -> Fit:
     return replace(fit, objective=objective, residual=fit.residual[rows], jacobian=fit.jacobian[rows])
 
 
-def standing_for_all(squares: Float[np.ndarray, "M J"], lasts: Float[np.ndarray, "M"], seconds: float) -> list[int]:
+def representative(squares: Float[np.ndarray, "M J"], lasts: Float[np.ndarray, "M"], seconds: float) -> list[int]:
     """Numbers of the motion that is off most, and of others beside it, among those that are off more than half of all are.
 
     Each time the one whose error makes the joints' shares of it most like those in all motions: the few that are off most may be
     off by something of their own, on one joint, and what is on all joints alike goes unseen in them.
 
     Args:
-        squares: squared error of each joint in each motion.
+        squares: sum of squared errors [rad^2] of each joint in each motion.
         lasts: how long each motion is [s].
         seconds: how much motion is enough.
     """

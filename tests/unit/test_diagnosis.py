@@ -23,8 +23,8 @@ from edream.diagnosis.screen import (
     extend,
     finalists,
     fits_beside,
+    representative,
     screen,
-    standing_for_all,
     thinned,
     with_quantities,
     worthwhile,
@@ -177,11 +177,11 @@ def test_a_few_motions_stand_for_all_although_some_are_off_by_something_of_their
     squares = np.ones((10, 2))
     squares[[1, 2, 3], 0], squares[4, 1] = [9.0, 8.0, 7.0], 4.0
     lasts = np.full(10, 5.0)
-    assert standing_for_all(squares, lasts, 5.0) == [1], "the one that is off most"
-    assert standing_for_all(squares, lasts, 10.0) == [1, 4], "not the next, which is off by the same"
+    assert representative(squares, lasts, 5.0) == [1], "the one that is off most"
+    assert representative(squares, lasts, 10.0) == [1, 4], "not the next, which is off by the same"
     alone = np.array([[5.0, 0.0], [4.0, 0.0], [3.0, 0.0], [0.1, 0.0], [0.2, 0.0], [0.3, 0.0]])
-    assert standing_for_all(alone, lasts[:6], 15.0) == [0, 1, 2], "those that are off most where all are off on one joint"
-    assert standing_for_all(alone, lasts[:6], 1e3) == [0, 1, 2, 3, 4, 5]
+    assert representative(alone, lasts[:6], 15.0) == [0, 1, 2], "those that are off most where all are off on one joint"
+    assert representative(alone, lasts[:6], 1e3) == [0, 1, 2, 3, 4, 5]
 
 
 def test_a_real_gap_that_nothing_explains_is_not_called_agreement() -> None:
