@@ -18,6 +18,7 @@ from edream.reality.look import Look
 from edream.reality.recorder import Recorder, make_recordings
 from edream.reality.truth import Truth, draw, drawn_effects, seal, unseal, with_cell
 from edream.sim.camera import graphics
+from edream.sim.mass import HAND_WEIGHT, hand_of
 from edream.sim.robot import RobotModel
 
 
@@ -33,6 +34,7 @@ class RecordConfig:
         motions: number of recordings.
         seconds: length of each [s].
         gain: share of their usual position gain that the servos have; another than 1 is noted as the condition `servo_gain`.
+        weight: what the hand holds [kg], known to whoever records; more than 0 is noted as the condition `hand_weight`.
         motion: a table of commands (time [s], then a column [rad or m] a joint) to play instead of motions drawn by chance, such as
             the `next_motion.csv` of a diagnosis; its length counts then.
         rate: rows per second [Hz].
@@ -55,6 +57,7 @@ class RecordConfig:
     motions: int = 12
     seconds: float = 10.0
     gain: float = 1.0
+    weight: float = 0.0
     motion: Path | None = None
     rate: float = 50.0
     step: float = 0.0005
@@ -77,7 +80,7 @@ class RecordConfig:
             raise EdreamError(
                 f"record.step is {self.step} s; expected at most 0.001 s, so that the robot is finer than its simulator."
             )
-        for name in ("noise", "jitter"):
+        for name in ("noise", "jitter", "weight"):
             if getattr(self, name) < 0:
                 raise EdreamError(f"record.{name} is {getattr(self, name)}; expected 0 or more.")
         if not 0.0 <= self.deviation < 1.0:
@@ -105,12 +108,14 @@ def record(robot: RobotModel, config: RecordConfig, seed: int = 0) -> dict[str, 
             raise EdreamError(f"There is already something at {path}; record.out must name a new folder.")
     form = catalog.load("formats", config.format, Format)
     truth, motions = hidden_robot(robot, config, seed), np.random.SeedSequence(seed).spawn(2)[1]
-    noted = {} if config.gain == 1.0 else {"servo_gain": config.gain}
+    noted = {"servo_gain": config.gain} if config.gain != 1.0 else {}
+    noted |= {HAND_WEIGHT: config.weight} if config.weight else {}
     recorder = Recorder(config.rate, config.jitter, config.noise, config.counts, config.step, conditions=noted)
     filming = Filming(robot, config.look, seed) if config.video else None
     chance = int(motions.generate_state(1)[0])
     plan = None if config.motion is None else read_motion(config.motion, robot, config.rate)
-    moved = truth.at_gain(robot.model, config.gain)
+    body, point = hand_of(robot)
+    moved = truth.at_gain(robot.model, config.gain).holding(robot.model.body(body).name, point, config.weight)
     made = make_recordings(robot, moved, chance, config.motions, config.seconds, recorder, filming, plan)
     out.parent.mkdir(parents=True, exist_ok=True)
     if filming is None:

@@ -56,6 +56,8 @@ def record_task(robot: RobotModel, task_name: str, config: RecordConfig, seed: i
     for path in (out, sealed):
         if path.exists():
             raise EdreamError(f"There is already something at {path}; record.out must name a new folder.")
+    if config.weight:
+        raise EdreamError(f"record.weight is {config.weight:g}, but a task is demonstrated with an empty hand; expected 0.")
     if config.gain != 1.0:
         raise EdreamError(f"record.gain is {config.gain:g}, but a task is demonstrated at the servos' usual gain; expected 1.")
     task, form = catalog.load("tasks", task_name, Task), catalog.load("formats", config.format, Format)

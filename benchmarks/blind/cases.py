@@ -3,7 +3,7 @@
 import hashlib
 import os
 import shutil
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -20,6 +20,7 @@ SORTS = ("none", "single", "foreign", "pair")
 SITES = {"arm6": "ee", "pan_tilt": "ee", "so101": "gripperframe"}
 FEWEST_EMPTY = 5
 AGAIN = 4  # recordings of a suggested motion
+SETTINGS = {"servo_gain": "gain", "hand_weight": "weight"}  # how the make-believe robot is set up as a condition says
 PAIRS = (
     ("load_friction", "actuator_delay"),
     ("stribeck", "payload"),
@@ -138,12 +139,13 @@ def record_case(case: Case, robot: RobotModel, folder: Path, session: Session) -
     return data, sealed
 
 
-def record_again(case: Case, robot: RobotModel, folder: Path, motion: Path, gain: float) -> Path:
-    """The same robot plays a suggested motion at a share of its servos' gain, under `folder/again`; returns the data set."""
+def record_again(case: Case, robot: RobotModel, folder: Path, motion: Path, conditions: Mapping[str, float]) -> Path:
+    """The same robot plays a suggested motion set up as the conditions say, under `folder/again`; returns the data set."""
     data = folder / "again" / case.code
     shutil.rmtree(data, ignore_errors=True)
     known = folder / "truth" / f"{case.code}.json"
-    config = RecordConfig(data, case.effects, format="lerobot_v3", motions=AGAIN, motion=motion, gain=gain, truth=known)
+    set_up = {SETTINGS[name]: value for name, value in conditions.items()}
+    config = RecordConfig(data, case.effects, format="lerobot_v3", motions=AGAIN, motion=motion, truth=known, **set_up)
     record(robot, config, seed=case.seed + 1000)
     truth_path(data).unlink()  # it is the one that lies in `folder/truth`
     return data

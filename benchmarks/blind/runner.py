@@ -49,11 +49,10 @@ def run_case(
             result["again"] = None
         if motion.exists():
             noted = json.loads(motion.with_suffix(".json").read_text(encoding="utf-8"))
-            gains = [one.get("servo_gain", 1.0) for one in noted]
-            more = [place / f"more_{number}" for number in range(len(gains))]
-            for gain, data in zip(gains, more, strict=True):
-                shutil.copytree(record_again(case, robot, folder, motion, gain), data)
-            result["again"] = {"gains": gains} | _blindfolded(place, "again.json", ["--beside", *map(str, more)])
+            more = [place / f"more_{number}" for number in range(len(noted))]
+            for conditions, data in zip(noted, more, strict=True):
+                shutil.copytree(record_again(case, robot, folder, motion, conditions), data)
+            result["again"] = {"conditions": noted} | _blindfolded(place, "again.json", ["--beside", *map(str, more)])
         return result
 
 

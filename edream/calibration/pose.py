@@ -10,6 +10,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from edream.core.effect import joint_index
+from edream.sim.mass import last_body
 from edream.sim.robot import RobotModel
 
 
@@ -27,7 +28,7 @@ class Chain:
     def links(self) -> list[int]:
         """Bodies from the base to the end effector."""
         model = self.robot.model
-        body = int(model.site_bodyid[model.site(self.robot.site).id]) if self.robot.site else self._last_body()
+        body = int(model.site_bodyid[model.site(self.robot.site).id]) if self.robot.site else last_body(model)
         chain = []
         while body:
             chain.append(body)
@@ -40,14 +41,6 @@ class Chain:
         if self.robot.site:
             return f"site {self.robot.site}"
         return f"body {self.robot.model.body(self.links[-1]).name or self.links[-1]}, the last; robot.site=NAME chooses a site"
-
-    def _last_body(self) -> int:
-        """The body at the end of the longest chain of bodies; the first of equals."""
-        model = self.robot.model
-        depth = np.zeros(model.nbody, int)
-        for body in range(1, model.nbody):
-            depth[body] = depth[model.body_parentid[body]] + 1
-        return int(np.argmax(depth))
 
     def poses(self, positions: Float[np.ndarray, "T J"]) -> tuple[Float[np.ndarray, "T 3"], Rotation]:
         """Position [m] and rotation of the end effector in the base frame. Joints outside the chain do not matter.

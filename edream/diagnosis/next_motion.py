@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.linalg import cho_factor, cho_solve
 
 from edream.core.effect import holds_position
@@ -13,23 +13,22 @@ from edream.core.episode import Episode
 from edream.diagnosis.decide import DISTINCT
 from edream.diagnosis.descent import Fit
 from edream.diagnosis.problem import Problem
+from edream.diagnosis.set_up import other_set_ups
 from edream.sim.rollout import rollout
-from edream.sim.simulation import SERVO_GAIN
 from edream.sim.window import Window
 
 SECONDS, RATE, SETTLE = 20.0, 50.0, 1.0
 RESTED = round(SETTLE * RATE)  # rows after which a planned motion no longer shows that it began where no servo holds a weight
-DRAWN, JUDGED, CHANGED = 40, 6, 4
-GLANCED = 8  # of those drawn: where these hardly move any two models apart, the others are not simulated
+DRAWN, JUDGED, CHANGED = 24, 3, 5
+GLANCED = 8  # of those drawn: where these hardly move any two models apart, the others are not simulated; they choose set-ups, too
 FREE = 8  # directions in which the recordings leave a model's numbers most room; the others are taken to be known
 MARGIN = 0.05  # of a joint's range is kept free at either end
-INVISIBLE = 0.01  # floors: predictions this near are the same
 # of the floor squared: the mean difference that a motion must promise; recorded as often as the others, it tells
 TELLING = 2 * DISTINCT
 SHORT = 0.8  # of that: where no motion has two models so far apart in its every row, none will in those that count
+RISING = 0.4  # of that: what mixtures may bring there
 FAINT = 0.1  # of that: so little by those glanced at, others of their kind will not come near it
 HASTE = 1.2  # times the fastest command of the recordings
-SOFT = 0.5  # of the usual gain of the servos: what pulls beside a servo, and what only reads another angle, differ then
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,8 +71,9 @@ class Room:
 def suggest(problem: Problem, contenders: Sequence[Fit], rng: np.random.Generator) -> Motion | None:
     """The motion, out of many drawn at random, that best separates models which the recordings cannot tell apart.
 
-    Where the servos at their usual gain leave pairs untold, motions under a lower gain are looked at, too: a position servo
-    beside a spring moves as one with another gain and gear ratio does, whatever it is commanded, until its gain is another.
+    Where the robot as it is leaves pairs untold, motions are looked at under a lower gain of its servos and with a known weight in
+    its hand, too: a position servo beside a spring moves as one with another gain and gear ratio does, whatever it is commanded,
+    until its gain or its load is another.
 
     The evidence that a motion would give between two models is the squared difference of their predictions, weighed by the noise
     and by how far each model's own numbers could move to imitate the other,
@@ -95,45 +95,41 @@ def suggest(problem: Problem, contenders: Sequence[Fit], rng: np.random.Generato
     """
     if not all(holds_position(problem.robot.model, joint) for joint in problem.fitted[0].episode.joints):
         return None
-    usual = best_under(problem, contenders, rng, [{}])
-    pairs = len(contenders) * (len(contenders) - 1) // 2
-    if (usual is not None and usual.told == pairs) or not (lower := lower_gain(problem)):
-        return usual
-    more = best_under(problem, contenders, rng, [lower, {}])
-    return more if more is not None and (usual is None or more.told > usual.told) else usual
-
-
-def lower_gain(problem: Problem) -> dict[str, float]:
-    """The condition under which the servos have `SOFT` times the gain that they mostly had; empty where no condition scales it."""
-    scaling = problem.settings.scaled.get(SERVO_GAIN)
-    if scaling is None:
-        return {}
-    had = [window.episode.conditions.get(scaling.condition, scaling.reference) for window in problem.fitted]
-    return {scaling.condition: SOFT * float(np.median(had))}
+    room, visible, under = room_of(problem), TELLING * problem.floor**2, [{}, *other_set_ups(problem)]
+    drawn = [draw(room, rng) for _ in range(DRAWN)]
+    near = np.array([separations(problem, contenders, drawn[:GLANCED], one).max(axis=0) for one in under])
+    if near.max() < FAINT * visible:
+        return None
+    promised = near >= SHORT * visible
+    likely = [under[number] for number in fewest(promised)] if promised.any() else under
+    found = best_under(problem, contenders, drawn, rng, likely)
+    if len(likely) == len(under) or (found is not None and found.told >= promised.any(axis=0).sum()):
+        return found
+    more = best_under(problem, contenders, drawn, rng, under)
+    return more if more is not None and (found is None or more.told > found.told) else found
 
 
 def best_under(
-    problem: Problem, contenders: Sequence[Fit], rng: np.random.Generator, under: Sequence[Mapping[str, float]]
+    problem: Problem,
+    contenders: Sequence[Fit],
+    drawn: Sequence[np.ndarray],
+    rng: np.random.Generator,
+    under: Sequence[Mapping[str, float]],
 ) -> Motion | None:
-    """The best motion to play under each of some conditions; None where none tells two models apart.
+    """The best motion to play under some conditions, drawn or a mixture; None where none tells two models apart.
 
-    The conditions are those of the first recording but for what each says. A later one without which as many pairs are told goes.
+    The conditions are those of the first recording but for what each says. The fewest that tell as many pairs are kept, earlier
+    ones rather than later ones.
     """
-    room = room_of(problem)
-    drawn = [draw(room, rng) for _ in range(DRAWN)]
 
     def apart(motions: Sequence[np.ndarray]) -> np.ndarray:
         return np.max([separations(problem, contenders, motions, one) for one in under], axis=0)
 
     def promising(motions: Sequence[np.ndarray], distances: np.ndarray) -> list[np.ndarray]:
-        order = np.argsort(-_least(distances, (INVISIBLE * problem.floor) ** 2))[:JUDGED]
+        order = np.argsort(-_least(distances, RISING * visible), kind="stable")[:JUDGED]
         return [motions[i] for i in order]
 
-    visible = TELLING * problem.floor**2
-    near = apart(drawn[:GLANCED])
-    if near.max() < FAINT * visible:
-        return None
-    near = np.vstack([near, apart(drawn[GLANCED:])])
+    visible, near = TELLING * problem.floor**2, apart(drawn)
     best = promising(drawn, near)
     mixtures = [mixed(one, drawn[int(rng.integers(DRAWN))], rng) for one in best for _ in range(CHANGED)]
     further = apart(mixtures)
@@ -148,10 +144,17 @@ def best_under(
         return None
     tells = each[:, winner] >= worth
     told = int(tells.any(axis=0).sum())
-    kept = next(n for n in range(1, len(under) + 1) if int(tells[:n].any(axis=0).sum()) == told)
+    chosen = fewest(tells)
     times = np.arange(len(best[winner])) / RATE
-    conditions = tuple(dict(one) for one in reversed(under[:kept]))
+    conditions = tuple(dict(under[number]) for number in chosen)
     return Motion(problem.fitted[0].episode.joints, times, best[winner], float(sure[winner]), told, conditions)
+
+
+def fewest(tells: Bool[np.ndarray, "conditions pairs"]) -> tuple[int, ...]:
+    """The fewest conditions that together tell all pairs that any of them tells; of as many, those that come first."""
+    every = range(len(tells))
+    sets = (some for size in range(1, len(tells) + 1) for some in combinations(every, size))
+    return next(some for some in sets if (tells[list(some)].any(axis=0) == tells.any(axis=0)).all())
 
 
 def _least(pairs: Float[np.ndarray, "M pairs"], worth: float) -> Float[np.ndarray, "M"]:

@@ -4,13 +4,12 @@ from collections.abc import Sequence
 
 import mujoco
 import numpy as np
-from jaxtyping import Float
 
 from edream.core.effect import Effect, Fields, Values
 from edream.core.parameters import Parameter
+from edream.sim.mass import add_mass
 
 ASIDE = 0.07  # m
-LEAST = 1e-9  # kg m^2
 REACH = 0.15  # m, from the body's own centre of mass or its first site
 
 
@@ -49,33 +48,7 @@ class Payload(Effect):
         return (centre, *beside)
 
     def write(self, fields: Fields, target: str, values: Values) -> None:
-        model, body = fields.model, fields.model.body(target).id
-        mass, point = values["mass"], np.stack([values[axis] for axis in "xyz"], axis=1)
-        there = np.flatnonzero(mass != 0.0)
-        own, centre = float(model.body_mass[body]), model.body_ipos[body]
-        total = own + mass[there]
-        joint = (own * centre + mass[there, None] * point[there]) / total[:, None]
-        turn = np.zeros(9)
-        mujoco.mju_quat2Mat(turn, model.body_iquat[body])
-        inertia = turn.reshape(3, 3) @ np.diag(model.body_inertia[body]) @ turn.reshape(3, 3).T
-        inertia = inertia + own * _about(centre - joint) + mass[there, None, None] * _about(point[there] - joint)
-        principal, axes = np.linalg.eigh(inertia)
-        # what is taken away may be more than was there: some mass is left along each axis, as every body has it
-        spread = np.maximum(0.5 * principal.sum(axis=1, keepdims=True) - principal, LEAST)
-        principal = spread.sum(axis=1, keepdims=True) - spread
-        axes[np.linalg.det(axes) < 0.0, :, 2] *= -1.0
-        fields["body_mass"][there, body] = total
-        fields["body_ipos"][there, body] = joint
-        fields["body_inertia"][there, body] = principal
-        turns = fields["body_iquat"]
-        for row, frame in zip(there, axes, strict=True):
-            mujoco.mju_mat2Quat(turns[row, body], np.ascontiguousarray(frame).ravel())
-
-
-def _about(offset: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3 3"]:
-    """Inertia of a unit mass at an offset [m^2]."""
-    square = (offset**2).sum(axis=1)
-    return square[:, None, None] * np.eye(3) - offset[:, :, None] * offset[:, None, :]
+        add_mass(fields, fields.model.body(target).id, values["mass"], np.stack([values[axis] for axis in "xyz"], axis=1))
 
 
 ENTRY = Payload()

@@ -79,6 +79,13 @@ class Truth:
         gains = {joint: share * float(gain) for joint, gain in zip(plant.joints, plant.kp, strict=True)}
         return replace(self, nuisance={**self.nuisance, "kp": gains})
 
+    def holding(self, body: str, point: np.ndarray, weight: float) -> "Truth":
+        """The same robot with a weight [kg] in its hand, at a point [m] in the frame of the body at its end."""
+        if not weight:
+            return self
+        x, y, z = map(float, point)
+        return replace(self, effects=(*self.effects, Hidden("payload", (body,), {"mass": weight, "x": x, "y": y, "z": z})))
+
     def terms(self, model: mujoco.MjModel) -> tuple[Term, ...]:
         """The hidden effects, ready for one run.
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure as Canvas
 
+from edream.diagnosis.set_up import how_to_record
 from edream.report.overview import ladder, maps, overlays
 from edream.report.page import AFTER, Figure, draw, mrad, page, short
 from edream.report.recordings import about_recordings
@@ -127,10 +128,8 @@ def next_motion(text: str, conditions: Sequence[Mapping[str, float]]) -> Figure 
             axis.set_ylabel(f"{short(name, 16)}\n[rad]", fontsize=8)
         axes[-1].set_xlabel("time [s]")
 
-    lower = [one for one in conditions if one]
-    which = "these recordings" if len(lower) == len(conditions) else "half of these recordings"
-    noted = "".join(f" For {which} {name} is {value:g}; conditions.csv says so." for one in lower for name, value in one.items())
     caption = (
-        f"The commands of a motion that tells the candidates apart; next_motion.csv among the diagnosis' files holds it.{noted}"
+        "The commands of a motion that tells the candidates apart; next_motion.csv among the diagnosis' files holds it. "
+        + how_to_record(conditions)
     )
     return draw("next-motion", "What to record next", caption, plot, (9.2, 1.0 + 0.95 * (len(rows[0]) - 1)), wide=True)

@@ -14,6 +14,7 @@ from mujoco import batch
 
 from edream.core.effect import MEASURED_SUFFIX, MOTOR_SUFFIX, joint_index
 from edream.sim.hooks import batch_hooks
+from edream.sim.mass import HAND_WEIGHT
 from edream.sim.rotor import has_rotor, wind_up
 from edream.sim.servo import geared_readings
 from edream.sim.simulation import SimulatedRobot, write_fields
@@ -132,7 +133,7 @@ class _Replay:
         conditions = [window.episode.conditions for window in windows for _ in range(self.n)]
         numbers = simulated.quantities(values.reshape(self.w * self.n, -1), conditions)
         self._gains = _Servos(self.batch, self.model)
-        write_fields(simulated, self.batch, numbers)
+        write_fields(simulated, self.batch, numbers, np.array([one.get(HAND_WEIGHT, 0.0) for one in conditions]))
         self._gains.remember()
         own = batch_hooks(simulated, self.batch, numbers, _begins(windows, self.n), self._lately)
         self.hooks = hook(self.batch) if hook is not None else own

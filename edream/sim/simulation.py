@@ -14,6 +14,7 @@ from edream.core.effect import Effect, joint_index
 from edream.core.errors import EdreamError
 from edream.core.parameters import Parameter, ParameterSpace
 from edream.sim.lean import lean_spec
+from edream.sim.mass import hold_weights
 from edream.sim.robot import RobotModel
 
 T = TypeVar("T")
@@ -249,13 +250,18 @@ class BatchFields:
 
 
 def write_fields(
-    simulated: SimulatedRobot, simulations: batch.Batch, numbers: Sequence[Mapping[str, Float[np.ndarray, "N"]]]
+    simulated: SimulatedRobot,
+    simulations: batch.Batch,
+    numbers: Sequence[Mapping[str, Float[np.ndarray, "N"]]],
+    weights: Float[np.ndarray, "N"] | None = None,
 ) -> BatchFields:
-    """Write every placement's numbers into a batch and bring derived constants up to date."""
+    """Write every placement's numbers into a batch, and what each hand holds [kg], and bring derived constants up to date."""
     fields = BatchFields(simulations, simulated.model)
     for placement, values in late_last(zip(simulated.placements, numbers, strict=True)):
         for target in placement.targets or ("",):
             placement.effect.write(fields, target, values)
+    if weights is not None:
+        hold_weights(fields, simulated.robot, weights)
     if fields.touched & DERIVING:
         simulations.set_const()
     return fields

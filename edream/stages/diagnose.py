@@ -1,6 +1,6 @@
 """Diagnose: find where simulation and measurement disagree, name what is missing, add it, show that the gap shrinks."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -8,8 +8,9 @@ from edream.calibration.settings import Limits, RobotSettings, ScaledBy, scaling
 from edream.core.effect import holds_position
 from edream.core.stage import Artifact, Bundle, Source, Stage, Work
 from edream.diagnosis.evidence import evidence
-from edream.diagnosis.next_motion import SOFT, Motion, suggest
+from edream.diagnosis.next_motion import Motion, suggest
 from edream.diagnosis.problem import Settings, prepare
+from edream.diagnosis.set_up import how_to_record
 from edream.diagnosis.verdict import Diagnosis, diagnose
 from edream.ingest.episode_file import write_commands
 from edream.ingest.stored import stored_episodes
@@ -79,19 +80,6 @@ def motion_files(motion: Motion, work: Work) -> Bundle:
     return {"next_motion.csv": motion.table(), "next_motion.mcap": path, CONDITIONS: [dict(one) for one in motion.conditions]}
 
 
-def how_to_record(conditions: Sequence[Mapping[str, float]]) -> str:
-    """What to do with a suggested motion, in words."""
-    lower = [one for one in conditions if one]
-    if not lower:
-        return "Record the suggested motion a few times."
-    ((name, value),) = lower[0].items()
-    beside = "" if len(lower) == len(conditions) else ", and a few times more"
-    return (
-        f"Record the suggested motion a few times{beside} with {SOFT:g} times the servos' usual position gain, and note "
-        f"{name} = {value:g} of these in conditions.csv."
-    )
-
-
 def settings_of(config: DiagnoseConfig) -> Settings:
     """The diagnosis' own settings from the config."""
     options = {key: value for key, value in vars(config.diagnose).items() if key not in ("next_motion", "scaled", "limits")}
@@ -149,4 +137,4 @@ def summary(found: Diagnosis, bundle: Mapping[str, Any], more: str) -> dict[str,
     }
 
 
-ENTRY = Stage("diagnose", 48, ("ingest",), DiagnoseConfig, run, sources, ("mujoco", "numpy", "scipy"))
+ENTRY = Stage("diagnose", 49, ("ingest",), DiagnoseConfig, run, sources, ("mujoco", "numpy", "scipy"))

@@ -1,5 +1,6 @@
 """The motion that is suggested where models cannot be told apart."""
 
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +11,7 @@ from edream.diagnosis.candidates import Candidate
 from edream.diagnosis.descent import Fit
 from edream.diagnosis.next_motion import as_window, draw, room_of, separations, suggest
 from edream.diagnosis.problem import Problem, Settings, prepare
+from edream.diagnosis.set_up import other_set_ups
 from tests.still_problem import having
 
 
@@ -57,3 +59,25 @@ def test_no_motion_is_suggested_between_two_delays_that_are_one_in_free_motion(p
     for effect, time in (("actuator_delay", 0.0300), ("sensor_delay", 0.0305)):  # fits stop near each other, not at one number
         fits.append(having(problem, fit, Candidate(effect, ("tilt",)), {"time": time}))
     assert suggest(problem, fits, np.random.default_rng(1)) is None
+
+
+def test_a_weight_in_the_hand_is_asked_for_where_that_alone_tells(
+    problem: Problem, fit: Fit, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    simulated: list[Mapping[str, float]] = []
+
+    def told(share: float) -> Callable[..., np.ndarray]:
+        def answer(
+            problem: Problem, fits: Sequence[Fit], motions: Sequence[np.ndarray], conditions: Mapping[str, float]
+        ) -> np.ndarray:
+            simulated.append(conditions)
+            return np.full((len(motions), 1), share if "hand_weight" in conditions else 0.0)
+
+        return answer
+
+    monkeypatch.setattr(next_motion, "separations", told(10.0 * problem.floor**2))
+    monkeypatch.setattr(next_motion, "evidences", told(1e6))
+    motion = suggest(problem, [fit, fit], np.random.default_rng(1))
+    (held,) = other_set_ups(problem)[1:2]
+    assert motion is not None and motion.conditions == (held,) and list(held) == ["hand_weight"]
+    assert [one for one in simulated[4:] if one != held] == []  # after a glance at every set-up

@@ -8,6 +8,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
+from edream.diagnosis.set_up import how_to_record
 from edream.report.calibration import calibration_page
 from edream.report.diagnosis import diagnosis_page, next_motion
 from edream.report.overview import interval
@@ -274,7 +275,7 @@ def test_a_large_drawing_becomes_a_bitmap() -> None:
 def test_the_next_motion_is_drawn_joint_by_joint() -> None:
     figure = next_motion("time,lift,turn\n0,0.1,0.2\n0.02,0.3,0.4\n", [{}, {"servo_gain": 0.5}])
     assert figure is not None and "lift" in figure.drawing and "turn" in figure.drawing
-    assert "half of these recordings servo_gain is 0.5" in figure.caption
+    assert figure.caption.endswith(how_to_record([{}, {"servo_gain": 0.5}]))
     assert next_motion("time,lift\n", [{}]) is None
 
 
