@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from scipy.linalg import cho_factor, cho_solve
 
 from edream.core.effect import holds_position
@@ -28,6 +28,7 @@ TELLING = 2 * DISTINCT
 SHORT = 0.8  # of that: where no motion has two models so far apart in its every row, none will in those that count
 RISING = 0.4  # of that: what mixtures may bring there
 FAINT = 0.1  # of that: so little by those glanced at, others of their kind will not come near it
+CLEAR, NEARLY = 5.0, 0.7  # times what must be, where a pair is told for certain; of the most that any set-up gives
 HASTE = 1.2  # times the fastest command of the recordings
 
 
@@ -100,10 +101,10 @@ def suggest(problem: Problem, contenders: Sequence[Fit], rng: np.random.Generato
     near = np.array([separations(problem, contenders, drawn[:GLANCED], one).max(axis=0) for one in under])
     if near.max() < FAINT * visible:
         return None
-    promised = near >= SHORT * visible
-    likely = [under[number] for number in fewest(promised)] if promised.any() else under
+    promised = int((near.max(axis=0) >= SHORT * visible).sum())
+    likely = [under[number] for number in fewest(near, SHORT * visible)] if promised else under
     found = best_under(problem, contenders, drawn, rng, likely)
-    if len(likely) == len(under) or (found is not None and found.told >= promised.any(axis=0).sum()):
+    if len(likely) == len(under) or (found is not None and found.told >= promised):
         return found
     more = best_under(problem, contenders, drawn, rng, under)
     return more if more is not None and (found is None or more.told > found.told) else found
@@ -118,8 +119,8 @@ def best_under(
 ) -> Motion | None:
     """The best motion to play under some conditions, drawn or a mixture; None where none tells two models apart.
 
-    The conditions are those of the first recording but for what each says. The fewest that tell as many pairs are kept, earlier
-    ones rather than later ones.
+    The conditions are those of the first recording but for what each says. The fewest that tell as many pairs, and clearly,
+    are kept, earlier ones rather than later ones.
     """
 
     def apart(motions: Sequence[np.ndarray]) -> np.ndarray:
@@ -142,19 +143,21 @@ def best_under(
     winner = int(np.argmax(sure))
     if sure[winner] < worth:
         return None
-    tells = each[:, winner] >= worth
-    told = int(tells.any(axis=0).sum())
-    chosen = fewest(tells)
+    told = int((each[:, winner].max(axis=0) >= worth).sum())
+    chosen = fewest(each[:, winner], worth)
     times = np.arange(len(best[winner])) / RATE
     conditions = tuple(dict(under[number]) for number in chosen)
     return Motion(problem.fitted[0].episode.joints, times, best[winner], float(sure[winner]), told, conditions)
 
 
-def fewest(tells: Bool[np.ndarray, "conditions pairs"]) -> tuple[int, ...]:
-    """The fewest conditions that together tell all pairs that any of them tells; of as many, those that come first."""
-    every = range(len(tells))
-    sets = (some for size in range(1, len(tells) + 1) for some in combinations(every, size))
-    return next(some for some in sets if (tells[list(some)].any(axis=0) == tells.any(axis=0)).all())
+def fewest(apart: Float[np.ndarray, "conditions pairs"], worth: float) -> tuple[int, ...]:
+    """The fewest conditions under which every pair that any of them tells is `CLEAR` times as far apart as it must be, or nearly
+    as far as under any; of as many, those that come first.
+    """
+    most = apart.max(axis=0)
+    tells = (most >= worth) & (apart >= np.minimum(CLEAR * worth, NEARLY * most))
+    sets = (some for size in range(1, len(apart) + 1) for some in combinations(range(len(apart)), size))
+    return next(some for some in sets if (tells[list(some)].any(axis=0) == (most >= worth)).all())
 
 
 def _least(pairs: Float[np.ndarray, "M pairs"], worth: float) -> Float[np.ndarray, "M"]:

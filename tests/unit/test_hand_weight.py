@@ -137,16 +137,18 @@ def test_weights_are_said_with_two_digits() -> None:
 
 
 @pytest.mark.parametrize(
-    ("tells", "chosen"),
+    ("apart", "chosen"),
     [
-        ([[True, True], [True, True]], (0,)),
-        ([[True, False], [False, False], [True, True]], (2,)),
-        ([[True, False, False], [False, True, False], [False, True, True]], (0, 2)),
-        ([[False, False], [True, False]], (1,)),
+        ([[9, 9], [9, 9]], (0,)),
+        ([[9, 0], [0, 0], [9, 9]], (2,)),
+        ([[9, 0, 0], [0, 9, 0], [0, 9, 9]], (0, 2)),
+        ([[0.9, 0], [9, 0.9]], (1,)),
+        ([[1.2, 9], [7, 9], [0, 0]], (1,)),  # the first is hardly enough for both
+        ([[1.2, 0], [1.3, 0]], (0,)),  # no other is much better
     ],
 )
-def test_the_fewest_set_ups_that_tell_as_much_are_asked_for(tells: list[list[bool]], chosen: tuple[int, ...]) -> None:
-    assert fewest(np.array(tells)) == chosen
+def test_the_fewest_set_ups_that_tell_as_much_are_asked_for(apart: list[list[float]], chosen: tuple[int, ...]) -> None:
+    assert fewest(np.array(apart), 1.0) == chosen
 
 
 def test_how_to_record_says_each_way_and_what_to_note() -> None:
