@@ -39,8 +39,10 @@ def hold_weights(fields: Fields, robot: RobotModel, weights: Float[np.ndarray, "
     """Put the weight [kg] that each recording says the hand held into its simulation, at the end effector.
 
     Raises:
-        EdreamError: some weigh anything, and the body at the end has no name.
+        EdreamError: a weight is less than nothing, or some weigh anything and the body at the end has no name.
     """
+    if weights.min(initial=0.0) < 0.0:
+        raise EdreamError(f"A recording notes {HAND_WEIGHT} = {weights.min():g} in conditions.csv; expected 0 kg or more.")
     if not weights.any():
         return
     body, point = hand_of(robot)

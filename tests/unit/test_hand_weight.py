@@ -101,6 +101,12 @@ def test_a_weight_in_a_hand_without_a_name_is_one_sentence() -> None:
         rollout(SimulatedRobot(replace(nameless, site=None), ()), NOTHING, whole([loaded]))
 
 
+def test_a_weight_below_nothing_is_one_sentence() -> None:
+    floating = replace(commanded(1, ROBOT.joints), conditions={"hand_weight": -0.3})
+    with pytest.raises(EdreamError, match=r"hand_weight = -0\.3 in conditions\.csv; expected 0 kg or more"):
+        rollout(SimulatedRobot(ROBOT, ()), NOTHING, whole([floating]))
+
+
 def test_the_weight_asked_for_pulls_less_than_the_robot_and_its_servos_bear_it(problem: Problem) -> None:
     (weight,) = weighted(problem).values()
     poses = np.concatenate([window.episode.position for window in problem.fitted])
