@@ -9,7 +9,7 @@ from edream.core.effect import Effect, Fields, Values, joint_index
 from edream.core.parameters import Parameter
 from edream.sim.friction import hold_still
 from edream.sim.rotor import drive_joint
-from edream.sim.scales import largest
+from edream.sim.scales import most_torque
 from edream.sim.servo import NO_INPUT, TURNED, device, passive_device
 
 
@@ -32,7 +32,7 @@ class AsymmetricCoulomb(Effect):
     of_type = False
 
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
-        high = 2.0 * largest(model, targets)
+        high = 2.0 * most_torque(model, targets)
         return (Parameter("difference", "N m", -high, high, 0.0, absent=0.0),)
 
     def edit(self, spec: mujoco.MjSpec, target: str) -> None:

@@ -7,7 +7,7 @@ import numpy as np
 
 from edream.core.effect import Effect, Fields, Values
 from edream.core.parameters import Parameter
-from edream.sim.scales import largest, travel
+from edream.sim.scales import largest, most_torque, travel
 from edream.sim.servo import NO_INPUT, device, passive_device
 
 PERIODS = (6.0, 7.0, 8.0, 10.0, 12.0, 14.0, 16.0, 20.0, 24.0, 28.0, 32.0, 40.0, 48.0, 64.0)  # a turn of the joint
@@ -32,7 +32,7 @@ class Cogging(Effect):
 
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
         return (
-            Parameter("amplitude", "N m", 0.0, largest(model, targets), 0.0, absent=0.0),
+            Parameter("amplitude", "N m", 0.0, most_torque(model, targets), 0.0, absent=0.0),
             Parameter("periods", "1", 6.0, 120.0, 12.0, scale="log"),
             Parameter("phase", "1", -2.0 * np.pi, 2.0 * np.pi, 0.0),
         )

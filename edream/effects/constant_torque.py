@@ -6,7 +6,7 @@ import mujoco
 
 from edream.core.effect import Effect, Fields, Values
 from edream.core.parameters import Parameter
-from edream.sim.scales import largest
+from edream.sim.scales import most_torque
 from edream.sim.servo import NO_INPUT, TURNED, device, passive_device
 
 
@@ -26,7 +26,7 @@ class ConstantTorque(Effect):
     of_type = False
 
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
-        high = 2.0 * largest(model, targets)
+        high = 2.0 * most_torque(model, targets)
         return (Parameter("torque", "N m", -high, high, 0.0, absent=0.0),)
 
     def edit(self, spec: mujoco.MjSpec, target: str) -> None:

@@ -6,7 +6,9 @@ import mujoco
 
 from edream.core.effect import Effect, Fields, Values, joint_index
 from edream.core.parameters import Parameter
-from edream.sim.scales import largest, travel
+from edream.sim.scales import most_torque, travel
+
+WIDE = 3.0  # rad of travel: over less a spring has to harden more to be seen
 
 
 class HardeningSpring(Effect):
@@ -27,11 +29,12 @@ class HardeningSpring(Effect):
     special = ("spring", "hardening", 0.0)
 
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
-        high = largest(model, targets)
+        high = most_torque(model, targets)
         low, top = travel(model, targets[0])
+        short = min(1.0, (top - low) / WIDE)
         return (
             Parameter("stiffness", "N m/rad", 0.0, 2.0 * high, 0.0),
-            Parameter("hardening", "N m/rad^3", 0.0, 2.0 * high, 0.0, absent=0.0),
+            Parameter("hardening", "N m/rad^3", 0.0, 2.0 * high / short**3, 0.0, absent=0.0),
             Parameter("reference", "rad", low, top, 0.5 * (low + top)),
         )
 

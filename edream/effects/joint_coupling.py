@@ -7,7 +7,7 @@ import mujoco
 
 from edream.core.effect import Effect, State
 from edream.core.parameters import Parameter
-from edream.sim.scales import largest
+from edream.sim.scales import largest, most_torque
 
 
 def joint_coupling(state: State, index: dict[str, int], values: dict[str, Any]) -> None:
@@ -32,7 +32,7 @@ class JointCoupling(Effect):
     hook = staticmethod(joint_coupling)
 
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
-        high = largest(model, [targets[0].split("<-")[0]])
+        high = 1.5 * most_torque(model, [targets[0].split("<-")[0]])
         return (
             Parameter("stiffness", "N m/rad", -high, high, 0.0, absent=0.0),
             Parameter("damping", "N m s/rad", -0.5 * high, 0.5 * high, 0.0, absent=0.0),

@@ -8,7 +8,9 @@ import numpy as np
 from edream.core.effect import Effect, Fields, Values
 from edream.core.parameters import Parameter
 from edream.sim.mass import add_mass
+from edream.sim.scales import last_driven, most_torque
 
+PROBE = 0.02  # of the robot's mass
 ASIDE = 0.07  # m
 REACH = 0.15  # m, from the body's own centre of mass or its first site
 
@@ -34,15 +36,20 @@ class Payload(Effect):
         body = model.body(targets[0]).id
         sites = [s for s in range(model.nsite) if model.site_bodyid[s] == body]
         centre = model.site_pos[sites[0]] if sites else model.body_ipos[body]
-        total = float(model.body_subtreemass[0])
         places = (
             Parameter(axis, "m", c - REACH, c + REACH, c, spread=0.04) for axis, c in zip("xyz", map(float, centre), strict=True)
         )
-        return (Parameter("mass", "kg", -0.4 * float(model.body_mass[body]), 0.5 * total, 0.0, absent=0.0), *places)
+        return (Parameter("mass", "kg", -0.4 * float(model.body_mass[body]), self._most(model, body), 0.0, absent=0.0), *places)
+
+    def _most(self, model: mujoco.MjModel, body: int) -> float:
+        """Half of the robot's mass, or what pulls at the servo before it as much as an effect may."""
+        half = 0.5 * float(model.body_subtreemass[0])
+        joint = last_driven(model, body)
+        return half if joint is None else max(half, most_torque(model, [joint]) / (9.81 * REACH))
 
     def probes(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[dict[str, float], ...]:
-        mass, *places = self.parameters(model, targets)
-        centre = {"mass": 0.04 * mass.high} | {place.name: place.start for place in places}
+        _, *places = self.parameters(model, targets)
+        centre = {"mass": PROBE * float(model.body_subtreemass[0])} | {place.name: place.start for place in places}
         # where it hangs decides at which poses it pulls
         beside = [centre | {place.name: place.start + side * ASIDE} for place in places for side in (-1.0, 1.0)]
         return (centre, *beside)

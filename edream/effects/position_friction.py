@@ -10,7 +10,7 @@ from edream.core.effect import Effect, State
 from edream.core.parameters import Parameter
 from edream.sim.friction import hold_still
 from edream.sim.rotor import drive_joint
-from edream.sim.scales import largest, travel
+from edream.sim.scales import largest, most_torque, travel
 
 
 def position_friction(state: State, index: dict[str, int], values: dict[str, Any]) -> None:
@@ -40,7 +40,7 @@ class PositionFriction(Effect):
     hook = staticmethod(position_friction)
 
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
-        high = 2.0 * largest(model, targets)
+        high = 2.0 * most_torque(model, targets)
         low, top = travel(model, targets[0])
         span = top - low
         return (

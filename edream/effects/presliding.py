@@ -7,7 +7,7 @@ import numpy as np
 
 from edream.core.effect import Effect, Fields, Values, joint_index
 from edream.core.parameters import Parameter
-from edream.sim.scales import largest
+from edream.sim.scales import most_torque
 from edream.sim.servo import NO_INPUT, device, passive_device
 
 RELAXATION = 0.005  # s, bristle damping over bristle stiffness
@@ -31,7 +31,7 @@ class Presliding(Effect):
     confusable = ("coulomb", "backlash", "stribeck")
 
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
-        high = 2.0 * largest(model, targets)
+        high = 2.0 * most_torque(model, targets)
         # the stiffest bristle that a step of this length carries on the lightest of the joints
         inertia = min(float(model.dof_M0[joint_index(model, target)["dof"]]) for target in targets)
         short = max(5e-4, high * float(model.opt.timestep) ** 2 / (0.1 * inertia))

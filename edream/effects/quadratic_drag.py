@@ -6,7 +6,7 @@ import mujoco
 
 from edream.core.effect import Effect, Fields, Values, joint_index
 from edream.core.parameters import Parameter
-from edream.sim.scales import largest
+from edream.sim.scales import most_torque
 
 
 class QuadraticDrag(Effect):
@@ -24,7 +24,7 @@ class QuadraticDrag(Effect):
     confusable = ("viscous", "torque_speed_limit")
 
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
-        return (Parameter("drag", "N m s^2/rad^2", 0.0, 5.0 * largest(model, targets), 0.0, absent=0.0),)
+        return (Parameter("drag", "N m s^2/rad^2", 0.0, 5.0 * most_torque(model, targets), 0.0, absent=0.0),)
 
     def write(self, fields: Fields, target: str, values: Values) -> None:
         fields["dof_dampingpoly"][:, joint_index(fields.model, target)["drive"], 0] = values["drag"]

@@ -10,7 +10,7 @@ from edream.core.effect import Effect, State
 from edream.core.parameters import Parameter
 from edream.sim.friction import hold_still
 from edream.sim.rotor import drive_joint
-from edream.sim.scales import largest
+from edream.sim.scales import largest, most_torque
 
 
 def stribeck(state: State, index: dict[str, int], values: dict[str, Any]) -> None:
@@ -35,7 +35,7 @@ class Stribeck(Effect):
     hook = staticmethod(stribeck)
 
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
-        high = 2.0 * largest(model, targets)
+        high = 2.0 * most_torque(model, targets)
         return (
             Parameter("torque", "N m", 0.0, high, 0.0, absent=0.0),
             Parameter("speed", "rad/s", 0.005, 3.0, 0.1, scale="log"),

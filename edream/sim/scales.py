@@ -8,9 +8,12 @@ import numpy as np
 
 from edream.core.effect import joint_index
 
+JOINT_DRIVES = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 POSES = 24
 BRISK_ACCELERATION = 20.0  # rad/s^2: what a brisk servo move asks of a joint
 BANDWIDTH = 30.0  # rad/s, of a usual position servo
+SEEN = 0.015  # rad of error that a torque may well make
+HALF = 0.5  # of a servo's limit
 STUCK = 0.1  # rad of error that dry friction may hold
 FOLLOWS_FROM = (
     "qpos0", "jnt_range", "jnt_limited", "jnt_pos", "jnt_axis", "body_pos", "body_quat", "body_mass", "body_inertia", "body_ipos",
@@ -74,7 +77,27 @@ def most_friction(model: mujoco.MjModel, joints: Sequence[str]) -> float:
     """
     unmodelled = [STUCK * position_gain(model, joint) for joint in joints if rotor_guess(model, joint) > 0.0]
     nominal = float(model.dof_frictionloss[joint_index(model, joints[0])["drive"]])
-    return max(5.0 * nominal, largest(model, joints), *unmodelled)
+    return max(5.0 * nominal, most_torque(model, joints), *unmodelled)
+
+
+def most_torque(model: mujoco.MjModel, joints: Sequence[str]) -> float:
+    """The most that an effect may take on joints that share their numbers [N m].
+
+    A large torque, or what moves a stiff servo by little more than can be seen, where its limit allows as much.
+    """
+    held = [min(SEEN * position_gain(model, joint), HALF * strongest(model, joint)) for joint in joints]
+    return max(largest(model, joints), *held)
+
+
+def last_driven(model: mujoco.MjModel, body: int) -> str | None:
+    """The joint with a servo that is nearest before a body; None where none is."""
+    servos = np.isin(model.actuator_trntype, JOINT_DRIVES) & (model.actuator_ctrlnum > 0)
+    while body:
+        for joint in range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body]):
+            if joint in model.actuator_trnid[servos, 0]:
+                return str(model.joint(joint).name)
+        body = int(model.body_parentid[body])
+    return None
 
 
 def largest(model: mujoco.MjModel, joints: Sequence[str]) -> float:
