@@ -17,7 +17,7 @@ BRIEF = 120.0  # s of motion, up to which trying is cheap
 LENGTHS = (1.0, 0.3)  # of a step
 REAL_GAP = 1.8  # floors of error that are a gap worth a name
 HALF = 0.5  # of the squared gap: a name that closes less of a real one may be a stand-in
-ASTRAY = 1.5  # times the fit's own error: a motion left out that is so much worse may say more about the step than about the model
+ASTRAY = 1.2  # times the fit's own error: a motion left out that is so much worse may say more about the step than about the model
 
 
 def folds(problem: Problem, count: int) -> Int[np.ndarray, "M"]:
