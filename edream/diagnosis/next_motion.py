@@ -29,6 +29,7 @@ SHORT = 0.8  # of that: where no motion has two models so far apart in its every
 RISING = 0.4  # of that: what mixtures may bring there
 FAINT = 0.1  # of that: so little by those glanced at, others of their kind will not come near it
 CLEAR, NEARLY = 5.0, 0.7  # times what must be, where a pair is told for certain; of the most that any set-up gives
+IMITATED = 5.0  # times as much is needed before what one model's numbers can do to imitate the other
 HASTE = 1.2  # times the fastest command of the recordings
 
 
@@ -102,7 +103,7 @@ def suggest(problem: Problem, contenders: Sequence[Fit], rng: np.random.Generato
     if near.max() < FAINT * visible:
         return None
     promised = int((near.max(axis=0) >= SHORT * visible).sum())
-    likely = [under[number] for number in fewest(near, SHORT * visible)] if promised else under
+    likely = [under[number] for number in fewest(near, SHORT * visible, IMITATED * CLEAR * visible)] if promised else under
     found = best_under(problem, contenders, drawn, rng, likely)
     if len(likely) == len(under) or (found is not None and found.told >= promised):
         return found
@@ -144,18 +145,19 @@ def best_under(
     if sure[winner] < worth:
         return None
     told = int((each[:, winner].max(axis=0) >= worth).sum())
-    chosen = fewest(each[:, winner], worth)
+    chosen = fewest(each[:, winner], worth, CLEAR * worth)
     times = np.arange(len(best[winner])) / RATE
     conditions = tuple(dict(under[number]) for number in chosen)
     return Motion(problem.fitted[0].episode.joints, times, best[winner], float(sure[winner]), told, conditions)
 
 
-def fewest(apart: Float[np.ndarray, "conditions pairs"], worth: float) -> tuple[int, ...]:
-    """The fewest conditions under which every pair that any of them tells is `CLEAR` times as far apart as it must be, or nearly
-    as far as under any; of as many, those that come first.
+def fewest(apart: Float[np.ndarray, "conditions pairs"], worth: float, clear: float) -> tuple[int, ...]:
+    """The fewest conditions under which every pair that any of them tells is clearly apart, or nearly as far as under any of them.
+
+    Of as many, those that come first; a pair is told from `worth` on, and apart for certain from `clear` on.
     """
     most = apart.max(axis=0)
-    tells = (most >= worth) & (apart >= np.minimum(CLEAR * worth, NEARLY * most))
+    tells = (most >= worth) & (apart >= np.minimum(clear, NEARLY * most))
     sets = (some for size in range(1, len(apart) + 1) for some in combinations(range(len(apart)), size))
     return next(some for some in sets if (tells[list(some)].any(axis=0) == (most >= worth)).all())
 

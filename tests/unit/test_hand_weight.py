@@ -154,7 +154,7 @@ def test_weights_are_said_with_two_digits() -> None:
     ],
 )
 def test_the_fewest_set_ups_that_tell_as_much_are_asked_for(apart: list[list[float]], chosen: tuple[int, ...]) -> None:
-    assert fewest(np.array(apart), 1.0) == chosen
+    assert fewest(np.array(apart), 1.0, 5.0) == chosen
 
 
 def test_how_to_record_says_each_way_and_what_to_note() -> None:
