@@ -182,6 +182,10 @@ def test_a_few_motions_stand_for_all_although_some_are_off_by_something_of_their
     alone = np.array([[5.0, 0.0], [4.0, 0.0], [3.0, 0.0], [0.1, 0.0], [0.2, 0.0], [0.3, 0.0]])
     assert representative(alone, lasts[:6], 15.0) == [0, 1, 2], "those that are off most where all are off on one joint"
     assert representative(alone, lasts[:6], 1e3) == [0, 1, 2, 3, 4, 5]
+    kinds = ["usual", "usual", "usual", "soft", "heavy", "soft"]
+    assert representative(alone, lasts[:6], 5.0, kinds) == [0, 4, 5], (
+        "the one that is off most under each set-up, whatever it lasts"
+    )
 
 
 def test_a_real_gap_that_nothing_explains_is_not_called_agreement() -> None:
