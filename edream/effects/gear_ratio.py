@@ -27,7 +27,7 @@ class GearRatio(Effect):
     name = "gear_ratio"
     summary = "another gear ratio"
     place = "joint"
-    confusable = ("servo_gain", "encoder_offset", "spring", "payload")
+    confusable = ("servo_gain", "encoder_offset", "spring", "payload", "constant_torque")
     of_position_servo = True
     late = 2
 
