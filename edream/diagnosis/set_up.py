@@ -15,6 +15,7 @@ from edream.sim.simulation import SERVO_GAIN
 SOFT = 0.5  # of the usual gain of the servos: what pulls beside a servo, and what only reads another angle, differ then
 HEAVY = 0.75  # of the robot's own pull on the joint that it pulls most
 BEARABLE = 0.8  # of a servo's limit
+NOTHING = 1e-6  # of what a weight pulls at the joint that it pulls most
 POSES = 100  # of each recording
 
 
@@ -36,8 +37,11 @@ def lower_gain(problem: Problem) -> dict[str, float]:
 def weighted(problem: Problem) -> dict[str, float]:
     """The condition under which the hand holds a weight, which pulls `HEAVY` times as much as the robot itself in its poses.
 
-    Empty where gravity pulls at no joint, where recordings were made with a weight already, or where the servos cannot bear one.
+    Empty where gravity pulls at no joint, where recordings were made with a weight already, where the servos cannot bear one, or
+    where the body at the end has no name.
     """
+    if not problem.robot.model.body(hand_of(problem.robot)[0]).name:
+        return {}
     if any(window.episode.conditions.get(HAND_WEIGHT) for window in problem.fitted):
         return {}
     own, each = pulls(problem)
@@ -45,7 +49,8 @@ def weighted(problem: Problem) -> dict[str, float]:
     if not own.max() > 0.0 or not each.max() > 0.0:
         return {}
     most = HEAVY * own.max() / each.max()
-    bearable = ((BEARABLE * limits - own)[each > 0.0] / each[each > 0.0]).min()
+    pulled = each > NOTHING * each.max()
+    bearable = ((BEARABLE * limits - own)[pulled] / each[pulled]).min()
     weight = two_digits(min(most, bearable))
     return {HAND_WEIGHT: weight} if weight > 0.0 else {}
 

@@ -138,6 +138,12 @@ def test_set_ups_are_those_that_the_robot_has(problem: Problem) -> None:
     assert other_set_ups(replace(problem, fitted=held)) == [{"servo_gain": 0.5}]
 
 
+def test_no_weight_is_asked_for_in_a_hand_without_a_name(problem: Problem) -> None:
+    tool = '<body pos="0.1 0 0"><geom size="0.01"/></body>\n<site name="ee"'
+    nameless = replace(problem.robot, mjcf=problem.robot.mjcf.replace('<site name="ee"', tool), site=None)
+    assert other_set_ups(replace(problem, robot=nameless)) == [{"servo_gain": 0.5}]
+
+
 def test_weights_are_said_with_two_digits() -> None:
     assert [two_digits(w) for w in (0.2389, 3.0, 0.0051, 12.7, 0.0, -1.0)] == [0.23, 3.0, 0.0051, 12.0, 0.0, 0.0]
 
