@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -12,6 +13,9 @@ from edream.diagnosis.descent import Fit, begin
 from edream.diagnosis.nuisance import published
 from edream.diagnosis.problem import Problem, Settings, nuisance_placements, prepare
 from edream.diagnosis.screen import extend, with_quantities
+from edream.ingest.recordings import ingest_recordings
+from edream.reality.truth import Truth, seal
+from edream.record import RecordConfig, record
 from edream.sim.robot import RobotModel
 from edream.sim.rollout import rollout
 from edream.sim.simulation import SimulatedRobot
@@ -48,6 +52,16 @@ def still_problem(robot: RobotModel | None = None, step: float | None = None, ju
     rng = np.random.default_rng(7)
     measured = [replace(w.episode, position=m[0] + rng.normal(0.0, NOISE, m[0].shape)) for w, m in zip(windows, moved, strict=True)]
     return prepare(robot, measured, Settings())
+
+
+def held_still(robot: RobotModel, folder: Path, name: str, **set_up: float) -> Episode:
+    """What is recorded of the make-believe robot without dry friction, set up so, as it holds all its joints at 0 for 2 s."""
+    motion, known = folder / "hold.csv", folder / f"known-{name}.json"
+    motion.write_text("time,tilt,pan\n0.0,0.0,0.0\n2.0,0.0,0.0\n")
+    seal(Truth(robot.name, nuisance={"frictionloss": dict.fromkeys(robot.joints, 1e-9)}), known)
+    record(robot, RecordConfig(folder / name, format="lerobot_v3", motions=2, motion=motion, truth=known, **set_up))
+    (first, _), _ = ingest_recordings(folder / name, robot.joints)
+    return first
 
 
 def fit_of(problem: Problem) -> Fit:

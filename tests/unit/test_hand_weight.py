@@ -12,16 +12,14 @@ from edream.core.errors import EdreamError
 from edream.diagnosis.next_motion import fewest
 from edream.diagnosis.problem import Problem
 from edream.diagnosis.set_up import HEAVY, how_to_record, other_set_ups, two_digits, weighted
-from edream.ingest.recordings import ingest_recordings
-from edream.reality.truth import Truth, seal
-from edream.record import RecordConfig, record
+from edream.record import RecordConfig
 from edream.record_task import record_task
 from edream.sim.mass import add_mass, hand_of
 from edream.sim.robot import RobotModel
 from edream.sim.rollout import rollout
 from edream.sim.simulation import SimulatedRobot
 from edream.sim.window import whole
-from tests.still_problem import commanded, pan_tilt
+from tests.still_problem import commanded, held_still, pan_tilt
 
 ROBOT = pan_tilt()
 NOTHING = np.zeros((1, 0))
@@ -70,15 +68,9 @@ def test_masses_on_one_body_add_up() -> None:
 
 
 def test_a_robot_that_holds_a_weight_sags_by_it_and_its_recordings_say_so(tmp_path: Path) -> None:
-    (tmp_path / "hold.csv").write_text("time,tilt,pan\n0.0,0.0,0.0\n2.0,0.0,0.0\n")
-    limp = {"frictionloss": dict.fromkeys(ROBOT.joints, 1e-9)}
-    seal(Truth(ROBOT.name, nuisance=limp), tmp_path / "known.truth.json")
     rest = {}
     for weight in (0.0, 0.2):
-        out = tmp_path / f"with-{weight}"
-        told = {"motion": tmp_path / "hold.csv", "truth": tmp_path / "known.truth.json", "format": "lerobot_v3"}
-        record(ROBOT, RecordConfig(out, motions=2, weight=weight, **told))
-        (first, _), _ = ingest_recordings(out, ROBOT.joints)
+        first = held_still(ROBOT, tmp_path, f"with-{weight}", weight=weight)
         assert dict(first.conditions) == ({} if weight == 0.0 else {"hand_weight": 0.2})
         rest[weight] = float(np.mean(first.position[-20:, ROBOT.joint_index("tilt")]))
     ((_, point), gain) = hand_of(ROBOT), 20.0

@@ -9,10 +9,9 @@ from edream.catalog import load
 from edream.config import compose
 from edream.core.errors import EdreamError
 from edream.core.format import Format, ReadOptions
-from edream.ingest.recordings import ingest_recordings
-from edream.reality.truth import Truth, seal
 from edream.record import RecordConfig, read_motion, record
 from edream.sim.robot import RobotModel, load_robot
+from tests.still_problem import held_still
 
 TABLE = "time,tilt,pan\n5.0,0.0,0.0\n6.0,0.2,0.1\n7.0,-0.2,0.5\n"
 
@@ -59,16 +58,9 @@ def test_a_motion_file_that_is_not_there_is_one_sentence(robot: RobotModel, tmp_
 
 
 def test_servos_at_half_their_gain_sag_twice_as_far_and_the_recordings_say_so(robot: RobotModel, tmp_path: Path) -> None:
-    (tmp_path / "hold.csv").write_text("time,tilt,pan\n0.0,0.0,0.0\n2.0,0.0,0.0\n")
-    limp = robot.model.dof_frictionloss * 0.0 + 1e-9
-    hidden = Truth(robot.name, nuisance={"frictionloss": dict(zip(robot.joints, limp, strict=True))})
-    seal(hidden, tmp_path / "known.truth.json")
     sag = {}
     for gain in (1.0, 0.5):
-        out = tmp_path / f"at-{gain}"
-        told = {"motion": tmp_path / "hold.csv", "truth": tmp_path / "known.truth.json", "format": "lerobot_v3"}
-        record(robot, RecordConfig(out, motions=2, gain=gain, **told))
-        (first, _), _ = ingest_recordings(out, robot.joints)
+        first = held_still(robot, tmp_path, f"at-{gain}", gain=gain)
         assert dict(first.conditions) == ({} if gain == 1.0 else {"servo_gain": 0.5})
         sag[gain] = float(np.mean(first.position[-20:, robot.joint_index("tilt")]))
     assert abs(sag[1.0]) > 0.01
