@@ -59,6 +59,7 @@ BOUND = 1e-3  # of the unit box: nearer, a number sits at its bound
 ROUNDING = 1e-9  # a bound of a box that went through its logarithm
 TWIN_STEPS = 6  # of a twin, whose joint's numbers have made up for it: a lag beside damping and inertia goes slowly
 CLEARLY = 0.75  # of the squared error above the floor that a stand-in leaves
+GENERATIONS = 2  # of twins that are heard
 STAND_INS = 2  # names that together close less than half of a real gap: no further one is looked for
 
 
@@ -301,30 +302,54 @@ def with_confusable(
 ) -> list[Trial]:
     """The trials, and what the best one and all that cannot be told from it are known to be confused with: no twin goes unheard.
 
+    Nor a twin of theirs: what is heard may be one more that cannot be told from the best.
+    """
+    found, asked = list(trials), set[str]()
+    for _ in range(GENERATIONS):
+        best = next((t for t in found if passes(problem, t)), None)
+        if best is None:
+            break
+        near = [t for t in found if t is best or (passes(problem, t) and not told_apart(problem, t, best))]
+        known = {effect.name: effect for one in near for effect in confused_with(problem, one.candidate.effect)}
+        more = heard(problem, fit, errors, scored, found, best, [known[name] for name in known if name not in asked], done)
+        if not more:
+            break
+        asked |= set(known)
+        found = sorted([*found, *more], key=lambda t: -t.closed)
+    return found
+
+
+def heard(
+    problem: Problem,
+    fit: Fit,
+    errors: Float[np.ndarray, "M"],
+    scored: Sequence[Scored],
+    trials: Sequence[Trial],
+    best: Trial,
+    known: Sequence[Effect],
+    done: Callable[[int], object],
+) -> list[Trial]:
+    """Effects that have not been tried where the best trial acts, refitted there.
+
     Each is heard where the best one acts; where it can't act there, at the place that the score test likes best.
     """
-    best = next((t for t in trials if passes(problem, t)), None)
-    if best is None:
-        return list(trials)
-    near = [t for t in trials if t is best or (passes(problem, t) and not told_apart(problem, t, best))]
-    known = list({effect.name: effect for one in near for effect in confused_with(problem, one.candidate.effect)}.values())
     places = [*scored, *placed_at(problem, fit, best.candidate.targets, known)]
     places.sort(key=lambda s: s.candidate.targets != best.candidate.targets)  # the score test's order otherwise
     chosen = {s.candidate.effect: s for s in reversed(places) if s.candidate.effect in [one.name for one in known]}
     twins = [s for s in chosen.values() if s.candidate not in [t.candidate for t in trials]]
     few, most = on_few(problem, fit), 1.0 - (best.fit.rms / fit.rms) ** 2
 
-    def heard(one: Scored) -> Trial | None:
+    def refitted_there(one: Scored) -> Trial | None:
         joints = acted_on(one.candidate)
         begun = refitted(problem, few, one, iterations=TWIN_STEPS, joints=joints)
         hopeful = 1.0 - (begun.rms / few.rms) ** 2 >= HOPELESS * most
         return judged(problem, gone_on(fit, begun, joints), errors, one) if hopeful else None
 
     more = []
-    for trial in side_by_side(heard, twins, problem.settings.threads):
+    for trial in side_by_side(refitted_there, twins, problem.settings.threads):
         more += [trial] if trial is not None else []
         done(1)
-    return sorted([*trials, *more], key=lambda t: -t.closed)
+    return more
 
 
 def passes(problem: Problem, trial: Trial) -> bool:

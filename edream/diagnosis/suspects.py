@@ -51,7 +51,7 @@ def find_suspects(
 
     Args:
         problem: robot, motions and settings.
-        fit: the model with nuisance numbers alone.
+        fit: the model with nuisance numbers and what is named.
         strange_names: full names of the numbers that are far from the published ones.
         done: called with how many units of work are finished.
     """
@@ -172,7 +172,7 @@ def _ways(problem: Problem, fit: Fit) -> dict[str, float]:
 
 
 def believe_published(problem: Problem, fit: Fit, share: float | None = None) -> Fit:
-    """The same model fitted again under priors at the published numbers.
+    """The same model, named effects included, fitted again under priors at the published numbers.
 
     Args:
         problem: robot, motions and settings.
@@ -199,6 +199,7 @@ def believe_published(problem: Problem, fit: Fit, share: float | None = None) ->
                 away = np.log(found[name] / published[name]) if scales[name] == "log" else found[name] - published[name]
                 bounds[quantity]["spread"] = share * float(np.hypot(known["spread"], away))
         placements.append(replace(place, bounds=bounds))
+    placements += [one for one in fit.objective.simulated.placements if one.effect.name not in problem.settings.nuisance]
     objective = replace(fit.objective, simulated=SimulatedRobot(problem.robot, tuple(placements)), simulations=0)
     return descend(replace(fit, objective=objective), None, iterations=3)
 

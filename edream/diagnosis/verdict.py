@@ -106,19 +106,22 @@ def diagnose(problem: Problem, done: Callable[[str, int], object] = lambda text,
     ladder += [(_label(t), np.sqrt(proof_errors(problem, t.fit))) for t in taken]
     fit, kept = backward(problem, fit, [t.candidate for t in taken])
     trials = [t for t in taken if t.candidate in kept]
-    effects = [_named(problem, fit, t, rounds, trials) for t in trials]
     left = left_out_errors(problem, fit) if trials else rounds[0].errors
     gap = max(rms(np.sqrt(rounds[0].errors)), rms(ladder[1][1])) / problem.floor
     short = falls_short(problem, rounds[0].errors, left) if trials else gap > REAL_GAP
+    numbers: list[Named] = []
     suspects: list[Suspect] = []
     # numbers that are strange beside a real gap have made up for it; they are not what is missing
-    if not trials and not short and strange_numbers(problem, fit):
+    if not short and strange_numbers(problem, fit):
         # a search that ends near enough knows less of valleys, and calls its numbers surer than they are
         fit = most_ordinary(problem, polish(fit))
         if numbers := off_nominal(problem, fit):
             strange = [placement(problem, Candidate(n.name, n.targets)).full_name(q) for n in numbers for q in n.values]
             suspects = find_suspects(problem, fit, strange, lambda n: done("looking behind strange numbers", n))
-            effects = with_suspects(problem, numbers, suspects)
+    ended = suspects[0].fit if suspects else fit  # what is named is what is written, with the ordinary numbers that it leaves
+    effects = [_named(problem, ended, t, rounds, trials) for t in trials]
+    if suspects or not trials:  # beside a name, a strange number alone is that effect's own form, which no formula has exactly
+        effects += with_suspects(problem, numbers, suspects)
     remainder = rounds[0].formula or unexplained(problem, before, fit, rounds[0].errors, left, trials)
     done("remainder", 1)
     verdict, possible = judge(effects, remainder, short), contenders(fit, trials, effects, rounds, suspects)
@@ -126,8 +129,8 @@ def diagnose(problem: Problem, done: Callable[[str, int], object] = lambda text,
         fit = remainder.fit
         effects = [one for one in effects if remainder.beside_names]
         ladder.append(("remainder", np.sqrt(proof_errors(problem, fit))))
-    elif suspects and effects:
-        fit = suspects[0].fit  # what is named is what is written, with the ordinary numbers that it leaves
+    elif suspects:
+        fit = ended
         ladder.append((f"+ {suspects[0].candidate.label}", np.sqrt(proof_errors(problem, fit))))
     after = np.sqrt(proof_errors(problem, fit))
     return Diagnosis(

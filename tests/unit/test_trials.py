@@ -101,6 +101,7 @@ def test_what_the_best_one_is_confused_with_is_heard_where_that_one_acts(
     effects = [SimpleNamespace(name=name, confusable=()) for name in ("quadratic_drag", "payload")]
     monkeypatch.setattr(candidates, "library", lambda problem: effects)
     monkeypatch.setattr(decide, "passes", lambda problem, t: t.closed > 0.5)
+    monkeypatch.setattr(decide, "told_apart", lambda problem, worse, better: True)
     _refits_to(monkeypatch, replace(best, closed=0.8))
     scored = [Scored(Candidate("quadratic_drag", ("pan",)), {}, 0.2), Scored(Candidate("payload", ("head",)), {}, 0.1)]
     problem = SimpleNamespace(settings=SimpleNamespace(threads=1))
@@ -109,15 +110,16 @@ def test_what_the_best_one_is_confused_with_is_heard_where_that_one_acts(
     assert {t.candidate.effect for t in found} == {"torque_speed_limit", "quadratic_drag"}
 
 
-@pytest.mark.parametrize(("told", "heard"), [(False, ["load_friction"]), (True, [])])
+@pytest.mark.parametrize(("told", "heard"), [(False, ["load_friction", "presliding"]), (True, [])])
 def test_twins_of_what_cannot_be_told_from_the_best_are_heard_too(
     monkeypatch: pytest.MonkeyPatch, told: bool, heard: list[str]
 ) -> None:
-    """A spring may be an efficiency, whose twin is friction with the load."""
+    """A spring may be an efficiency, whose twin is friction with the load, which has another; no twin is asked twice."""
     fit = SimpleNamespace(rms=2.0)
     both = _trial("spring", 0.9), _trial("directional_efficiency", 0.8)
     best, rival = (replace(one, fit=SimpleNamespace(rms=1.0)) for one in both)
-    known = {"spring": [], "directional_efficiency": [SimpleNamespace(name="load_friction")]}
+    friction, sliding, far = (SimpleNamespace(name=name) for name in ("load_friction", "presliding", "coulomb"))
+    known = {"spring": [], "directional_efficiency": [friction], "load_friction": [friction, sliding], "presliding": [far]}
     monkeypatch.setattr(decide, "confused_with", lambda problem, effect: known[effect])
     monkeypatch.setattr(decide, "passes", lambda problem, trial: True)
     monkeypatch.setattr(decide, "told_apart", lambda problem, worse, better: told)
