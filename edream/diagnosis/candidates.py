@@ -105,6 +105,17 @@ def moving_bodies(problem: Problem) -> list[str]:
     return [body for body in dict.fromkeys(bodies) if body]
 
 
+def carried_by(problem: Problem, candidate: Candidate) -> frozenset[str]:
+    """The joints that carry the links that a candidate acts on; none where it acts on no links."""
+    if load("effects", candidate.effect, Effect).place != "body":
+        return frozenset()
+    model = problem.robot.model
+    above = {int(model.body(body).id) for body in candidate.targets}
+    while (further := above | {int(model.body_parentid[body]) for body in above}) != above:
+        above = further
+    return frozenset(joint for joint in problem.joints if int(model.jnt_bodyid[model.joint(joint).id]) in above)
+
+
 def loose_geoms(model: mujoco.MjModel) -> list[str]:
     """Named geoms of free bodies that can collide: objects that the robot may touch."""
     free = {int(model.jnt_bodyid[j]) for j in range(model.njnt) if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_FREE}

@@ -36,8 +36,10 @@ from edream.diagnosis.trials import (
     Trial,
     arrived,
     beside,
+    fresh_columns,
     gone_on,
     judged,
+    of_joints,
     on_few,
     placed_at,
     refitted,
@@ -57,7 +59,8 @@ DISTINCT = 0.5  # of the floor squared, or of the error where that is larger
 FEWEST = 3  # motions that a difference may rest on
 BOUND = 1e-3  # of the unit box: nearer, a number sits at its bound
 ROUNDING = 1e-9  # a bound of a box that went through its logarithm
-TWIN_STEPS = 6  # of a twin, whose joint's numbers have made up for it: a lag beside damping and inertia goes slowly
+TWIN_STEPS, FIRST_STEPS = 6, 2  # of a twin, whose joint's numbers have made up for it: a lag beside damping and inertia goes slowly
+FORLORN = 0.2  # of the best one's gain on few motions: a twin that has gained less by its first steps is none
 CLEARLY = 0.75  # of the squared error above the floor that a stand-in leaves
 GENERATIONS = 2  # of twins that are heard
 STAND_INS = 2  # names that together close less than half of a real gap: no further one is looked for
@@ -341,7 +344,10 @@ def heard(
 
     def refitted_there(one: Scored) -> Trial | None:
         joints = acted_on(one.candidate)
-        begun = refitted(problem, few, one, iterations=TWIN_STEPS, joints=joints)
+        begun = refitted(problem, few, one, iterations=FIRST_STEPS, joints=joints)
+        if 1.0 - (begun.rms / few.rms) ** 2 < FORLORN * most:
+            return None
+        begun = descend(begun, fresh_columns(few, begun.objective) | of_joints(begun.objective, joints), TWIN_STEPS - FIRST_STEPS)
         hopeful = 1.0 - (begun.rms / few.rms) ** 2 >= HOPELESS * most
         return judged(problem, gone_on(fit, begun, joints), errors, one) if hopeful else None
 

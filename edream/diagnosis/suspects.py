@@ -5,8 +5,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from edream.catalog import load
+from edream.core.effect import Effect
 from edream.core.parameters import targets_in
-from edream.diagnosis.candidates import Candidate, acted_on, confused_with
+from edream.diagnosis.candidates import Candidate, acted_on, carried_by, confused_with, library, rounds
 from edream.diagnosis.descent import Fit, begin, cost, descend, polish
 from edream.diagnosis.left_out import left_out_errors
 from edream.diagnosis.problem import Problem, nuisance_placements
@@ -72,10 +74,13 @@ def find_suspects(
             and np.sqrt(trial.errors.mean()) < AS_GOOD * np.sqrt(errors.mean())
         ]
 
-    likely = one_each(screen(problem, believing, done), joints)[:REFITTED]
+    likely = one_each(problem, screen(problem, believing, done), joints)[:REFITTED]
+    likely += [one for one in at_the_end(problem, believing, joints) if one.candidate not in [s.candidate for s in likely]]
     found = sorted(relieving(likely), key=lambda s: -s.relief)
     if found:  # no twin of the best one goes unheard
-        twins = placed_at(problem, believing, found[0].candidate.targets, confused_with(problem, found[0].candidate.effect))
+        best = found[0].candidate
+        twins = placed_at(problem, believing, best.targets, confused_with(problem, best.effect))
+        twins += on_links(problem, believing, joints, best.effect)
         found += relieving([one for one in twins if one.candidate not in [s.candidate for s in likely]])
     return sorted(found, key=lambda s: -s.relief)
 
@@ -98,14 +103,30 @@ def refitted_at_home(
     return list(side_by_side(gone_home, trials, threads))
 
 
-def one_each(scored: Sequence[Scored], joints: frozenset[str]) -> list[Scored]:
-    """The best place of every effect that acts on some of these joints, or on links or the world; best first.
+def one_each(problem: Problem, scored: Sequence[Scored], joints: frozenset[str]) -> list[Scored]:
+    """The best place of every effect that acts on some of these joints, on a link that they carry, or on the world; best first.
 
     What hides in strange numbers shows little beside them: what the score test is least sure of here is their order.
     """
-    there = [s for s in scored if not acted_on(s.candidate) or acted_on(s.candidate) & joints]
+    acts = [(s, acted_on(s.candidate) | carried_by(problem, s.candidate)) for s in scored]
+    there = [s for s, where in acts if not where or where & joints]
     best = {s.candidate.effect: s for s in reversed(there)}
     return [s for s in there if best[s.candidate.effect] is s]
+
+
+def at_the_end(problem: Problem, fit: Fit, joints: frozenset[str]) -> list[Scored]:
+    """What may act on links, on the outermost that these joints carry: there a robot carries what it carries."""
+    out = []
+    for effect in library(problem):
+        places = on_links(problem, fit, joints, effect.name)
+        out += [max(places, key=lambda s: len(carried_by(problem, s.candidate)))] if places else []
+    return out
+
+
+def on_links(problem: Problem, fit: Fit, joints: frozenset[str], effect: str) -> list[Scored]:
+    """An effect on each link that these joints carry, begun at its first probe; nothing where it acts on no links."""
+    links = [c for one in rounds(problem, [load("effects", effect, Effect)]) for c in one if carried_by(problem, c) & joints]
+    return [s for c in links for s in placed_at(problem, fit, c.targets, [load("effects", effect, Effect)])]
 
 
 def relief_by(believing: Fit, fit: Fit) -> float:

@@ -114,7 +114,7 @@ def diagnose(problem: Problem, done: Callable[[str, int], object] = lambda text,
     # numbers that are strange beside a real gap have made up for it; they are not what is missing
     if not short and strange_numbers(problem, fit):
         # a search that ends near enough knows less of valleys, and calls its numbers surer than they are
-        fit = most_ordinary(problem, polish(fit))
+        fit = most_ordinary(problem, fit if fit.ended else polish(fit))
         if numbers := off_nominal(problem, fit):
             strange = [placement(problem, Candidate(n.name, n.targets)).full_name(q) for n in numbers for q in n.values]
             suspects = find_suspects(problem, fit, strange, lambda n: done("looking behind strange numbers", n))

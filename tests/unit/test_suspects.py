@@ -18,6 +18,7 @@ from edream.diagnosis.suspects import (
     AS_WELL_MET,
     FLOOR_KNOWN,
     ORDINARY,
+    at_the_end,
     brought_home,
     most_ordinary,
     one_each,
@@ -27,6 +28,7 @@ from edream.diagnosis.trials import Trial
 from edream.diagnosis.verdict import off_nominal, strange_numbers
 from edream.reality.recorder import Recorder, make_recordings
 from edream.reality.truth import draw
+from tests.still_problem import still_problem
 
 
 def test_one_strange_number_takes_no_others_along_on_a_joint_that_nothing_loads() -> None:
@@ -96,12 +98,21 @@ def test_every_effect_is_heard_where_numbers_are_strange_once_and_links_and_the_
         ("spring", "tilt"),
         ("gravity_tilt", ""),
     ]
-    heard = one_each([scored(*one) for one in order], frozenset({"tilt"}))
+    heard = one_each(still_problem(), [scored(*one) for one in order], frozenset({"tilt"}))
     assert [(one.candidate.effect, one.candidate.targets) for one in heard] == [
         ("spring", ("tilt",)),
         ("payload", ("head",)),
         ("gravity_tilt", ()),
     ]
+
+
+@pytest.mark.parametrize(("strange", "link"), [("pan", "head"), ("tilt", "head"), ("", None)])
+def test_a_payload_is_heard_at_the_outermost_link_that_strange_joints_carry(strange: str, link: str | None) -> None:
+    problem = still_problem()
+    found = at_the_end(problem, fit_nuisance(problem), frozenset({strange}))
+    assert [one.candidate for one in found] == ([Candidate("payload", (link,))] if link else [])
+    inner = Scored(Candidate("payload", ("yoke",)), {}, 0.2)  # which tilt does not carry
+    assert one_each(problem, [inner], frozenset({strange})) == ([inner] if strange == "pan" else [])
 
 
 STRANGE = ["coulomb.torque[lift]"]
@@ -138,6 +149,8 @@ def test_a_twin_of_the_best_effect_behind_strange_numbers_is_heard_once(monkeypa
         "judged": lambda problem, fit, errors, trial: trial,
         "confused_with": lambda problem, effect: ["load_friction"] if effect == "directional_efficiency" else [],
         "placed_at": placed_at,
+        "at_the_end": lambda problem, fit, joints: [],
+        "on_links": lambda problem, fit, joints, effect: [],
     }
     for name, stand_in in told.items():
         monkeypatch.setattr(suspects, name, stand_in)

@@ -82,7 +82,10 @@ def _refits_to(monkeypatch: pytest.MonkeyPatch, end: Trial) -> None:
     told = {
         "on_few": lambda problem, fit: fit,
         "placed_at": lambda problem, fit, targets, known: [Scored(Candidate(e.name, targets), {}, 0.0) for e in known],
-        "refitted": lambda problem, fit, one, iterations, joints: SimpleNamespace(rms=1.0),
+        "refitted": lambda problem, fit, one, iterations, joints: SimpleNamespace(rms=1.0, objective=None),
+        "fresh_columns": lambda fit, objective: np.ones(1, bool),
+        "of_joints": lambda objective, joints: np.ones(1, bool),
+        "descend": lambda fit, fresh, iterations: fit,
         "gone_on": lambda fit, begun, joints: begun,
         "judged": lambda problem, fit, errors, one: replace(end, candidate=one.candidate),
     }
