@@ -59,8 +59,6 @@ def find_suspects(
     """
     believing = believe_published(problem, fit)
     strange = strangeness(believing, strange_names)
-    if strange < EVIDENCE:
-        return []
     errors = left_out_errors(problem, fit)
     joints = frozenset(joint for name in strange_names for joint in targets_in(name))
 

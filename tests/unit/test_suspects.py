@@ -161,3 +161,26 @@ def test_a_twin_of_the_best_effect_behind_strange_numbers_is_heard_once(monkeypa
     else:
         assert heard == [*scored, "load_friction"]
     assert [(s.candidate.effect, s.relief) for s in found] == [("load_friction", 40.0), ("directional_efficiency", 30.0)]
+
+
+def test_what_makes_little_strangeness_ordinary_is_looked_for_since_it_may_meet_the_motions_better(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A gain 1.6 times the published one, alone, costs less than counts as evidence."""
+    spring = Trial(Candidate("spring", ("lift",)), 0.1, FitOf("spring"), 0.8 * np.ones(4), 0.0, True)
+    told = {
+        "believe_published": lambda problem, fit: FitOf("none"),
+        "strangeness": lambda fit, names: 2.4 if fit.effect == "none" else 0.4,
+        "left_out_errors": lambda problem, fit: np.ones(4),
+        "screen": lambda problem, fit, done: [Scored(spring.candidate, {}, 0.1)],
+        "refitted_at_home": lambda problem, believing, errors, likely, done: [spring for _ in likely],
+        "relief_by": lambda believing, fit: 20.0,
+        "confused_with": lambda problem, effect: [],
+        "placed_at": lambda problem, fit, targets, effects: [],
+        "at_the_end": lambda problem, fit, joints: [],
+        "on_links": lambda problem, fit, joints, effect: [],
+    }
+    for name, stand_in in told.items():
+        monkeypatch.setattr(suspects, name, stand_in)
+    found = suspects.find_suspects(SimpleNamespace(), FitOf("none"), STRANGE)
+    assert [(s.candidate, s.relief) for s in found] == [(spring.candidate, 20.0)]

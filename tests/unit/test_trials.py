@@ -258,6 +258,43 @@ def test_strange_numbers_are_an_answer_only_where_nothing_is_left(
     assert [label for label, _ in found.contenders] == (["strange numbers", "spring[tilt]"] if expected == "cannot_tell" else [])
 
 
+@pytest.mark.parametrize(
+    ("behind", "expected", "named"), [(True, "cannot_tell", ["stribeck", "spring"]), (False, "named", ["stribeck"])]
+)
+def test_behind_numbers_that_are_strange_beside_a_name_another_effect_is_looked_for(
+    monkeypatch: pytest.MonkeyPatch, behind: bool, expected: str, named: list[str]
+) -> None:
+    """A payload hides in a gain beside Stribeck friction; a strange number with nothing behind it is no finding there."""
+    spring = Suspect(Candidate("spring", ("tilt",)), FitOf("with both", 1.0), 9.0)  # type: ignore[arg-type]
+    gain, friction = (verdict.Named(name, name, ("tilt",), {}, {}, {}, 0.0, None, ()) for name in ("servo_gain", "stribeck"))
+    taken = replace(_trial("stribeck", 1.0), fit=FitOf("with stribeck", 1.0))  # type: ignore[arg-type]
+    rounds = [decide.Round(FitOf("usual", 1.0), np.full(4, 36e-6), [], [taken], taken)]  # type: ignore[arg-type]
+    written: list[str] = []
+    for name, value in {
+        "published": lambda problem: None,
+        "fit_nuisance": lambda problem: FitOf("usual", 1.0),
+        "with_shares": lambda problem, fit: (problem, fit),
+        "proof_errors": lambda problem, fit: np.full(4, 1e-6),
+        "left_out_errors": lambda problem, fit: np.full(4, 1e-6),
+        "forward": lambda problem, fit, done: (problem, taken.fit, rounds),
+        "backward": lambda problem, fit, candidates: (fit, candidates),
+        "strange_numbers": lambda problem, fit: [gain],
+        "most_ordinary": lambda problem, fit: fit,
+        "off_nominal": lambda problem, fit: [gain],
+        "polish": lambda fit: fit,
+        "find_suspects": lambda problem, fit, strange, done: [spring] if behind else [],
+        "numbers_of": lambda problem, fit, candidate: ({}, {}, {}),
+        "_named": lambda problem, fit, trial, rounds, trials: written.append(fit.name) or friction,
+        "find_remainder": lambda problem, fit, beside_names=False: None,
+    }.items():
+        monkeypatch.setattr(verdict, name, value)
+    robot = SimpleNamespace(joints=("pan", "tilt"), step=None)
+    found = verdict.diagnose(SimpleNamespace(floor=1e-3, robot=robot, settings=SimpleNamespace(seed=0)))
+    assert found.verdict == expected and [one.name for one in found.effects] == named
+    assert [found.after.name] == written == ["with both" if behind else "with stribeck"]  # type: ignore[attr-defined]
+    assert [label for label, _ in found.contenders] == (["strange numbers", "spring[tilt]"] if behind else [])
+
+
 def test_beside_a_lag_the_numbers_of_its_joint_are_differenced_anew() -> None:
     """They had made up for it, and what they do beside it is something else: without that, two delays are told apart wrongly."""
     bare = still_problem()
