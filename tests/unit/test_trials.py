@@ -216,6 +216,25 @@ class FitOf:
     ended: bool = False
 
 
+def _diagnosed(monkeypatch: pytest.MonkeyPatch, strange: verdict.Named, told: dict[str, object]) -> verdict.Diagnosis:
+    """A diagnosis of which all is told; one usual number is strange in it, and no formula holds."""
+    always = {
+        "published": lambda problem: None,
+        "fit_nuisance": lambda problem: FitOf("usual", 1.0),
+        "with_shares": lambda problem, fit: (problem, fit),
+        "strange_numbers": lambda problem, fit: [strange],
+        "most_ordinary": lambda problem, fit: fit,
+        "off_nominal": lambda problem, fit: [strange],
+        "polish": lambda fit: fit,
+        "numbers_of": lambda problem, fit, candidate: ({}, {}, {}),
+        "find_remainder": lambda problem, fit, beside_names=False: None,
+    }
+    for name, value in (always | told).items():
+        monkeypatch.setattr(verdict, name, value)
+    robot = SimpleNamespace(joints=("pan", "tilt"), step=None)
+    return verdict.diagnose(SimpleNamespace(floor=1e-3, robot=robot, settings=SimpleNamespace(seed=0)))
+
+
 @pytest.mark.parametrize(
     ("floors", "behind", "expected", "named", "written"),
     [
@@ -233,25 +252,13 @@ def test_strange_numbers_are_an_answer_only_where_nothing_is_left(
     gain = verdict.Named("servo_gain", "another servo gain", ("tilt",), {}, {}, {}, 0.0, None, ())
     errors = np.full(4, (floors * 1e-3) ** 2)
     nothing = decide.Round(FitOf("usual", 1.0), errors, [], [], None)
-    for name, value in {
-        "published": lambda problem: None,
-        "fit_nuisance": lambda problem: FitOf("usual", 1.0),
-        "with_shares": lambda problem, fit: (problem, fit),
+    told = {
         "proof_errors": lambda problem, fit: errors,
         "forward": lambda problem, fit, done: (problem, fit, [nothing]),
         "backward": lambda problem, fit, candidates: (fit, []),
-        "strange_numbers": lambda problem, fit: [gain],
-        "most_ordinary": lambda problem, fit: fit,
-        "off_nominal": lambda problem, fit: [gain],
-        "polish": lambda fit: fit,
         "find_suspects": lambda problem, fit, strange, done: [spring] if behind else [],
-        "numbers_of": lambda problem, fit, candidate: ({}, {}, {}),
-        "find_remainder": lambda problem, fit, beside_names=False: None,
-    }.items():
-        monkeypatch.setattr(verdict, name, value)
-    robot = SimpleNamespace(joints=("pan", "tilt"), step=None)
-    problem = SimpleNamespace(floor=1e-3, robot=robot, settings=SimpleNamespace(seed=0))
-    found = verdict.diagnose(problem)
+    }
+    found = _diagnosed(monkeypatch, gain, told)
     assert found.verdict == expected and [one.name for one in found.effects] == named
     assert ("servo gain" in found.sentence) is ("servo_gain" in named)
     assert found.after.name == written  # type: ignore[attr-defined]
@@ -270,26 +277,15 @@ def test_behind_numbers_that_are_strange_beside_a_name_another_effect_is_looked_
     taken = replace(_trial("stribeck", 1.0), fit=FitOf("with stribeck", 1.0))  # type: ignore[arg-type]
     rounds = [decide.Round(FitOf("usual", 1.0), np.full(4, 36e-6), [], [taken], taken)]  # type: ignore[arg-type]
     written: list[str] = []
-    for name, value in {
-        "published": lambda problem: None,
-        "fit_nuisance": lambda problem: FitOf("usual", 1.0),
-        "with_shares": lambda problem, fit: (problem, fit),
+    told = {
         "proof_errors": lambda problem, fit: np.full(4, 1e-6),
         "left_out_errors": lambda problem, fit: np.full(4, 1e-6),
         "forward": lambda problem, fit, done: (problem, taken.fit, rounds),
         "backward": lambda problem, fit, candidates: (fit, candidates),
-        "strange_numbers": lambda problem, fit: [gain],
-        "most_ordinary": lambda problem, fit: fit,
-        "off_nominal": lambda problem, fit: [gain],
-        "polish": lambda fit: fit,
         "find_suspects": lambda problem, fit, strange, done: [spring] if behind else [],
-        "numbers_of": lambda problem, fit, candidate: ({}, {}, {}),
         "_named": lambda problem, fit, trial, rounds, trials: written.append(fit.name) or friction,
-        "find_remainder": lambda problem, fit, beside_names=False: None,
-    }.items():
-        monkeypatch.setattr(verdict, name, value)
-    robot = SimpleNamespace(joints=("pan", "tilt"), step=None)
-    found = verdict.diagnose(SimpleNamespace(floor=1e-3, robot=robot, settings=SimpleNamespace(seed=0)))
+    }
+    found = _diagnosed(monkeypatch, gain, told)
     assert found.verdict == expected and [one.name for one in found.effects] == named
     assert [found.after.name] == written == ["with both" if behind else "with stribeck"]  # type: ignore[attr-defined]
     assert [label for label, _ in found.contenders] == (["strange numbers", "spring[tilt]"] if behind else [])
