@@ -78,7 +78,8 @@ def find_suspects(
     if found:  # no twin of the best one goes unheard
         best = found[0].candidate
         twins = placed_at(problem, believing, best.targets, confused_with(problem, best.effect))
-        twins += on_links(problem, believing, joints, best.effect)
+        effect = load("effects", best.effect, Effect)
+        twins += [s for c in on_links(problem, joints, effect) for s in placed_at(problem, believing, c.targets, [effect])]
         found += relieving([one for one in twins if one.candidate not in [s.candidate for s in likely]])
     return sorted(found, key=lambda s: -s.relief)
 
@@ -116,15 +117,14 @@ def at_the_end(problem: Problem, fit: Fit, joints: frozenset[str]) -> list[Score
     """What may act on links, on the outermost that these joints carry: there a robot carries what it carries."""
     out = []
     for effect in library(problem):
-        places = on_links(problem, fit, joints, effect.name)
-        out += [max(places, key=lambda s: len(carried_by(problem, s.candidate)))] if places else []
+        if places := on_links(problem, joints, effect):
+            out += placed_at(problem, fit, max(places, key=lambda c: len(carried_by(problem, c))).targets, [effect])
     return out
 
 
-def on_links(problem: Problem, fit: Fit, joints: frozenset[str], effect: str) -> list[Scored]:
-    """An effect on each link that these joints carry, begun at its first probe; nothing where it acts on no links."""
-    links = [c for one in rounds(problem, [load("effects", effect, Effect)]) for c in one if carried_by(problem, c) & joints]
-    return [s for c in links for s in placed_at(problem, fit, c.targets, [load("effects", effect, Effect)])]
+def on_links(problem: Problem, joints: frozenset[str], effect: Effect) -> list[Candidate]:
+    """An effect on each link that these joints carry; nothing where it acts on no links."""
+    return [c for one in rounds(problem, [effect]) for c in one if carried_by(problem, c) & joints]
 
 
 def relief_by(believing: Fit, fit: Fit) -> float:

@@ -112,7 +112,7 @@ def diagnose(problem: Problem, done: Callable[[str, int], object] = lambda text,
     numbers: list[Named] = []
     suspects: list[Suspect] = []
     # numbers that are strange beside a real gap have made up for it; they are not what is missing
-    if not short and strange_numbers(problem, fit):
+    if not (is_real(problem, left) if trials else short) and strange_numbers(problem, fit):
         # a search that ends near enough knows less of valleys, and calls its numbers surer than they are
         fit = most_ordinary(problem, fit if fit.ended else polish(fit))
         if numbers := off_nominal(problem, fit):

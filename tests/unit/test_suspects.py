@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 from benchmarks.blind.cases import robot_of
+from edream.catalog import load
+from edream.core.effect import Effect
 from edream.core.episode import Episode
 from edream.diagnosis import suspects
 from edream.diagnosis.candidates import Candidate
@@ -21,6 +23,7 @@ from edream.diagnosis.suspects import (
     at_the_end,
     brought_home,
     most_ordinary,
+    on_links,
     one_each,
     with_ordinary_numbers,
 )
@@ -106,11 +109,14 @@ def test_every_effect_is_heard_where_numbers_are_strange_once_and_links_and_the_
     ]
 
 
-@pytest.mark.parametrize(("strange", "link"), [("pan", "head"), ("tilt", "head"), ("", None)])
-def test_a_payload_is_heard_at_the_outermost_link_that_strange_joints_carry(strange: str, link: str | None) -> None:
+@pytest.mark.parametrize(("strange", "links"), [("pan", ["yoke", "head"]), ("tilt", ["head"]), ("", [])])
+def test_a_payload_is_heard_at_the_outermost_link_that_strange_joints_carry(strange: str, links: list[str]) -> None:
     problem = still_problem()
+    payload = load("effects", "payload", Effect)
+    assert on_links(problem, frozenset({strange}), payload) == [Candidate("payload", (link,)) for link in links]
+    assert on_links(problem, frozenset({strange}), load("effects", "spring", Effect)) == []
     found = at_the_end(problem, fit_nuisance(problem), frozenset({strange}))
-    assert [one.candidate for one in found] == ([Candidate("payload", (link,))] if link else [])
+    assert [one.candidate for one in found] == [Candidate("payload", (link,)) for link in links[-1:]]
     inner = Scored(Candidate("payload", ("yoke",)), {}, 0.2)  # which tilt does not carry
     assert one_each(problem, [inner], frozenset({strange})) == ([inner] if strange == "pan" else [])
 
@@ -150,7 +156,7 @@ def test_a_twin_of_the_best_effect_behind_strange_numbers_is_heard_once(monkeypa
         "confused_with": lambda problem, effect: ["load_friction"] if effect == "directional_efficiency" else [],
         "placed_at": placed_at,
         "at_the_end": lambda problem, fit, joints: [],
-        "on_links": lambda problem, fit, joints, effect: [],
+        "on_links": lambda problem, joints, effect: [],
     }
     for name, stand_in in told.items():
         monkeypatch.setattr(suspects, name, stand_in)
@@ -178,7 +184,7 @@ def test_what_makes_little_strangeness_ordinary_is_looked_for_since_it_may_meet_
         "confused_with": lambda problem, effect: [],
         "placed_at": lambda problem, fit, targets, effects: [],
         "at_the_end": lambda problem, fit, joints: [],
-        "on_links": lambda problem, fit, joints, effect: [],
+        "on_links": lambda problem, joints, effect: [],
     }
     for name, stand_in in told.items():
         monkeypatch.setattr(suspects, name, stand_in)
