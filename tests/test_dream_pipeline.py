@@ -227,7 +227,7 @@ def test_video_without_a_robot_model_becomes_conditions_too(recorded: Path, tmp_
 ALONE = [word for word in SMALL if not word.startswith(("render.model", "score.long", "score.steps"))]
 
 
-@pytest.mark.parametrize("objective", ["bridge", "epsilon"])
+@pytest.mark.parametrize("objective", [pytest.param("bridge", marks=pytest.mark.slow), "epsilon"])
 def test_video_alone_goes_through_a_vae_trained_here_beside_what_the_codec_alone_gives_back(
     objective: str, recorded: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> None:

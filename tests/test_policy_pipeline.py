@@ -177,6 +177,7 @@ def without(made, runs: Path, *stages: str) -> Path:
     return runs
 
 
+@pytest.mark.slow  # tests/unit/test_policy.py has the same of a policy that is not trained first
 def test_evaluation_with_four_workers_gives_the_numbers_of_one(made, recorded: Path, tmp_path: Path) -> None:
     runs = without(made, tmp_path / "runs", "evaluate", "report")
     many = pipeline.make("evaluate", settings(recorded, runs, "rl.rounds=2", "executor.workers=4", "evaluate.shard=1"))

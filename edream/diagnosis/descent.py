@@ -20,6 +20,7 @@ SHORTER = (0.5, 0.2, 0.06)  # of a step
 LITTLE = 0.1  # of a squared standard deviation: a gain that no interval would notice
 PATIENT = 3  # iterations from which a descent is meant to arrive
 WORD = 0.5  # share of the promised gain that a whole step must bring
+PULLING = 0.02  # share of what numbers do that is on other joints than their own, from which it is differenced anew as well
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +34,7 @@ class Fit:
         jacobian: d residual / d unit, (R, P).
         scale: the noise [rad] that one residual row is worth, which weighs the priors.
         ended: whether it was gone down to the end, as `polish` does, where intervals are true.
+        pulling: whether links pull at each other so much that what a number does to other joints counts on the way down.
     """
 
     objective: Objective
@@ -41,6 +43,7 @@ class Fit:
     jacobian: Float[np.ndarray, "R P"]
     scale: float
     ended: bool = False
+    pulling: bool = False
 
     @property
     def space(self) -> ParameterSpace:
@@ -115,7 +118,14 @@ def begin(objective: Objective, unit: Float[np.ndarray, "P"]) -> Fit:
     """A fit at a starting point, with a fresh Jacobian."""
     space = objective.simulated.space
     residual = objective.residuals(space.from_unit(unit))[0]
-    return Fit(objective, unit, residual, jacobian(objective, space, unit, residual), worth(objective, residual))
+    slope = jacobian(objective, space, unit, residual)
+    across = (np.where(_own(objective, residual), 0.0, slope) ** 2).sum(axis=0) / np.maximum((slope**2).sum(axis=0), 1e-300)
+    return Fit(objective, unit, residual, slope, worth(objective, residual), pulling=bool(across.size and across.mean() > PULLING))
+
+
+def _own(objective: Objective, residual: Float[np.ndarray, "R"]) -> Bool[np.ndarray, "R P"]:
+    """Which rows of a residual are of joints that a parameter acts on."""
+    return np.tile(objective.acts_on.T, (len(residual) // objective.acts_on.shape[1], 1))
 
 
 def stretches(fit: Fit) -> list[Window]:
@@ -134,7 +144,8 @@ def descend(fit: Fit, fresh: Bool[np.ndarray, "P"] | None = None, iterations: in
 
     Each step solves the bounded, prior-weighted linear problem; where the whole step brings less than half of what it promised,
     shorter ones are tried too. Columns in `fresh` are differenced anew after each step, the others follow by Broyden's update.
-    Where all are to be fresh, that is done joint by joint, and what a parameter does to other joints follows.
+    Where all are to be fresh, that is done joint by joint, and what a parameter does to other joints follows; but where links pull
+    at each other, that is differenced anew, too, since a stale one makes many steps of few.
 
     Args:
         fit: where to begin.
@@ -212,5 +223,7 @@ def _moved(fit: Fit, unit: np.ndarray, residual: np.ndarray, fresh: np.ndarray |
 
 def _own_renewed(fit: Fit, slope: Float[np.ndarray, "R P"]) -> Float[np.ndarray, "R P"]:
     """A Jacobian with what each parameter does to the joints that it acts on differenced anew; what it does to others as it was."""
-    own = np.tile(fit.objective.acts_on.T, (len(fit.residual) // fit.objective.acts_on.shape[1], 1))
+    if fit.pulling:
+        return jacobian(fit.objective, fit.space, fit.unit, fit.residual)
+    own = _own(fit.objective, fit.residual)
     return np.where(own, nearly(fit.objective, fit.space, fit.unit, fit.residual), slope)

@@ -16,6 +16,7 @@ from edream.sim.simulation import SimulatedRobot
 NEAR, PASS, LAST = 12, 10, 4  # most steps on short pieces, on whole motions, joint by joint
 SHARE = 0.5  # standard deviations by which a share is moved to see whether motions tell it
 FAR = 4.0  # floors of error from which a valley with incredible numbers may be the wrong one
+OFF = 1.5  # floors of error from which numbers that sank may have sunk by mistake
 
 
 def published(problem: Problem) -> Objective:
@@ -30,12 +31,16 @@ def fit_nuisance(problem: Problem) -> Fit:
     bare = SimulatedRobot(problem.robot, nuisance_placements(problem))
     objective = replace(published(problem), simulated=bare)
     first = descend(begin(objective, bare.space.to_unit(beginning(objective))), None, iterations=8, tolerance=0.01)
+    if first.rms > OFF * problem.floor:
+        first = raised(first)
     if first.rms > FAR * problem.floor and not credible(first):
         first = min(first, calibrated(objective), key=lambda one: one.rms)
     believed = SimulatedRobot(problem.robot, nuisance_placements(problem, bare.space.mapping(first.values)))
     again = replace(objective, simulated=believed, simulations=0)
     unit = believed.space.to_unit(first.values)
-    started = Fit(again, unit, first.residual, _rescaled(first, believed), worth(again, first.residual))
+    started = replace(
+        first, objective=again, unit=unit, jacobian=_rescaled(first, believed), scale=worth(again, first.residual), ended=False
+    )
     return descend(started, None, iterations=4, tolerance=0.003)
 
 
@@ -70,6 +75,21 @@ def calibrated(objective: Objective) -> Fit:
     end = finish(objective, near.values, LAST)
     unit = objective.simulated.space.to_unit(end.values)
     return Fit(objective, unit, end.residual, end.jacobian, worth(objective, end.residual))
+
+
+def raised(fit: Fit) -> Fit:
+    """The fit, or a better one from the published values of the numbers that sank far below them, the others as they are.
+
+    A number that is searched by its logarithm moves hardly anything where it is small: once the first steps have sunk it, while
+    other numbers were still far off, it does not come up again.
+    """
+    space, start = fit.space, fit.space.start()
+    by_ratio = np.array([parameter.scale == "log" for parameter in space.parameters])
+    sunk = by_ratio & (fit.values < start / CREDIBLE_FACTOR)
+    if not sunk.any():
+        return fit
+    again = begin(fit.objective, space.to_unit(np.where(sunk, start, fit.values)))
+    return min(fit, descend(again, None, iterations=8, tolerance=0.01), key=lambda one: one.rms)
 
 
 def _rescaled(fit: Fit, believed: SimulatedRobot) -> np.ndarray:

@@ -343,5 +343,6 @@ def test_without_an_effect_a_search_also_begins_at_the_published_numbers_of_its_
     assert found.rms < slow.settings.model_floor < 5e-3 < start.rms
 
 
+@pytest.mark.slow
 def test_a_search_for_play_where_there_is_none_is_given_up_before_all_numbers_go_down(problem: Problem) -> None:
     assert searched(problem, fit_nuisance(problem), Candidate("backlash", ("pan",))) is None

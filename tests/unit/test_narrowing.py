@@ -35,7 +35,7 @@ def _robot(differently: bool) -> RobotModel:
     ("on", "differently", "kept"),
     [
         (("tilt",), False, ("tilt",)),
-        (("pan", "tilt"), True, None),
+        pytest.param(("pan", "tilt"), True, None, marks=pytest.mark.slow),
     ],  # of one hardware, but the motions of the pan joint speak against it
 )
 def test_a_group_keeps_the_joints_that_an_effect_is_on(

@@ -84,7 +84,7 @@ def test_a_command_is_worth_what_the_gain_says(kind: str) -> None:
     assert strong[0, -1, 0] > weak[0, -1, 0] + 0.1
 
 
-@pytest.mark.parametrize("kind", ["motor", "velocity"])
+@pytest.mark.parametrize("kind", ["motor", pytest.param("velocity", marks=pytest.mark.slow)])
 def test_the_score_test_points_at_a_spring_of_a_robot_under_torque_or_speed(kind: str) -> None:
     looked_at = _problem(kind, 1.5)
     names = {candidate.effect for one in rounds(looked_at, library(looked_at)) for candidate in one}

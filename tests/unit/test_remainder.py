@@ -78,6 +78,7 @@ def weakened(robot: RobotModel, seed: int) -> Episode:
     return played(robot, rng, 0.8 * np.sin(phase) * [1.0, 0.9], missing)
 
 
+@pytest.mark.slow
 def test_a_servo_that_is_weak_at_one_place_is_described_by_its_torque_there() -> None:
     robot = robot_of("pan_tilt")
     assert robot is not None
