@@ -10,7 +10,7 @@ from edream.core.effect import Effect
 from edream.core.parameters import targets_in
 from edream.diagnosis.candidates import Candidate, acted_on, library, placement, probes_of, rounds
 from edream.diagnosis.descent import Fit, begin, descend, stretches
-from edream.diagnosis.left_out import HALF, bootstrap, far_off, is_small, leaves_no_gap, left_out_errors, worst_joint
+from edream.diagnosis.left_out import HALF, bootstrap, far_off, is_real, is_small, leaves_no_gap, left_out_errors, worst_joint
 from edream.diagnosis.problem import Problem, nuisance_placements
 from edream.diagnosis.screen import (
     ENOUGH,
@@ -35,6 +35,8 @@ REFITTED, GROUPS, FINISHED = 8, 4, 4
 LIKELIEST = 3  # by the score test: they are refitted on whole motions even where candidates are tried boldly
 HOPELESS = 0.4  # of the best candidate's gain after two steps: those below are not refitted to the end
 SERIOUS_SHARE = 0.01
+NEARLY = 0.9  # of the squared gap above the floor: what is left asks for no search of every effect
+UNLIKELY = 0.3  # of the largest share by the score test: those below wait, and are not refitted where another closes nearly all
 TOLD = 0.02  # of the squared error: what a candidate's search gains less by does not change what it is worth beside others
 STRONG = 5.0  # probes
 SHAPED = 1.5  # floors of error from which a winner is tried in its other shapes
@@ -74,7 +76,7 @@ def try_best(
         places = [*{s.candidate.effect: s for s in reversed(scored)}.values(), *overlooked(problem, fit, scored)]
         likely = {s.candidate: s for s in (*scored[:LIKELIEST], *nearer_beside_published(problem, thinned(fit, ENOUGH), places))}
         plain = list(side_by_side(lambda one: refit(problem, fit, errors, one), list(likely.values()), problem.settings.threads))
-        if not any(t.sure and leaves_no_gap(problem, t.fit) for t in plain):
+        if not any(t.sure and (leaves_no_gap(problem, t.fit) or leaves_little(problem, t)) for t in plain):
             # short stretches forget what was before them (friction that is bent, an integral): both searches count
             bold = try_boldly(problem, fit, errors, places, done)
             plain = {t.candidate: t for t in sorted([*plain, *bold], key=lambda t: t.closed)}.values()
@@ -84,15 +86,29 @@ def try_best(
     groups = [s for s in serious if len(s.candidate.targets) > 1][:GROUPS]
     few, threads = on_few(problem, fit), problem.settings.threads
     tried = [*serious[:REFITTED], *(s for s in groups if s not in serious[:REFITTED])]
-    begun = []
-    for near, one in zip(side_by_side(lambda one: refitted(problem, few, one, iterations=2), tried, threads), tried, strict=True):
-        begun.append((near, one))
-        done(1)
+    likely = [s for s in tried if s.share >= UNLIKELY * scored[0].share]
+    begun: list[tuple[Fit, Scored]] = []
+    for some in (likely, [s for s in tried if s not in likely]):
+        if begun and nearly_closed(problem, few, min(near.rms for near, _ in begun)):
+            break
+        for near, one in zip(side_by_side(lambda one: refitted(problem, few, one, iterations=2), some, threads), some, strict=True):
+            begun.append((near, one))
+            done(1)
     begun.sort(key=lambda pair: pair[0].rms)
     gained = [1.0 - (near.rms / few.rms) ** 2 for near, _ in begun]
     hopeful = [pair for pair, gain in zip(begun, gained, strict=True) if gain >= HOPELESS * gained[0]][:FINISHED]
     trials = side_by_side(lambda pair: judged(problem, gone_on(fit, pair[0]), errors, pair[1]), hopeful, threads)
     return sorted(trials, key=lambda t: -t.closed)
+
+
+def nearly_closed(problem: Problem, before: Fit, left: float) -> bool:
+    """Whether an error [rad] is nearly none of a fit's gap above the floor."""
+    return before.rms**2 - left**2 >= NEARLY * (before.rms**2 - problem.floor**2)
+
+
+def leaves_little(problem: Problem, trial: Trial) -> bool:
+    """Whether a refitted candidate closes nearly all of the gap, and what it leaves is none that asks for a name."""
+    return trial.closed >= NEARLY and not is_real(problem, trial.errors)
 
 
 def on_few(problem: Problem, fit: Fit) -> Fit:

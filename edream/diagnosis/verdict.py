@@ -112,7 +112,7 @@ def diagnose(problem: Problem, done: Callable[[str, int], object] = lambda text,
     numbers: list[Named] = []
     suspects: list[Suspect] = []
     # numbers that are strange beside a real gap have made up for it; they are not what is missing
-    if not (is_real(problem, left) if trials else short) and strange_numbers(problem, fit):
+    if not (is_real(problem, left) if trials else short) and may_hide_more(strange_numbers(problem, fit), bool(trials)):
         # a search that ends near enough knows less of valleys, and calls its numbers surer than they are
         fit = most_ordinary(problem, fit if fit.ended else polish(fit))
         if numbers := off_nominal(problem, fit):
@@ -211,6 +211,15 @@ def off_nominal(problem: Problem, fit: Fit) -> list[Named]:
     found = strange_numbers(problem, fit)
     count = sum(len(place.parameters(problem.robot.model)) for place in nuisance_placements(problem))
     return found if len(found) <= max(2, count // 4) else []
+
+
+def may_hide_more(strange: Sequence[Named], beside_names: bool) -> bool:
+    """Whether strange numbers are worth a look behind them; beside names only a gain is.
+
+    What hides behind numbers (a weight, a spring, another gear) hides in the gain, too; a rotor or a friction that is strange alone
+    is published wrongly, mostly.
+    """
+    return any(one.name == "servo_gain" or not beside_names for one in strange)
 
 
 def strange_numbers(problem: Problem, fit: Fit) -> list[Named]:

@@ -77,6 +77,38 @@ def test_every_effect_is_tried_boldly_only_where_the_likeliest_leave_a_gap(
     assert [t.closed for t in best] == sorted(found.values(), reverse=True)
 
 
+@pytest.mark.parametrize(("closed", "left", "little"), [(0.95, 1.2, True), (0.95, 2.5, False), (0.8, 1.2, False)])
+def test_little_is_left_where_nearly_all_is_closed_and_no_real_gap_stays(closed: float, left: float, little: bool) -> None:
+    problem, errors = SimpleNamespace(floor=4e-4), np.full(6, (left * 4e-4) ** 2)
+    assert trials.leaves_little(problem, replace(_trial("spring", closed), errors=errors)) is little  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("left", "heard"), [(1.2, ["spring", "payload"]), (4.0, ["spring", "payload", "coulomb"])])
+def test_unlikely_candidates_wait_and_are_not_refitted_where_another_closes_nearly_all(
+    monkeypatch: pytest.MonkeyPatch, left: float, heard: list[str]
+) -> None:
+    floor, asked = 4e-4, []
+
+    def refitted(problem: object, few: object, one: Scored, iterations: int) -> SimpleNamespace:
+        asked.append(one.candidate.effect)
+        return SimpleNamespace(rms=left * floor if one.candidate.effect == "payload" else 9.0 * floor)
+
+    told = {
+        "far_off": lambda problem, fit: False,
+        "on_few": lambda problem, fit: fit,
+        "refitted": refitted,
+        "gone_on": lambda fit, near: near,
+        "judged": lambda problem, fit, errors, one: _trial(one.candidate.effect, 1.0 - fit.rms),
+    }
+    for name, stand_in in told.items():
+        monkeypatch.setattr(trials, name, stand_in)
+    shares = {"spring": 0.8, "payload": 0.7, "coulomb": 0.2}
+    scored = [Scored(Candidate(name, ("tilt",)), {}, share) for name, share in shares.items()]
+    problem = SimpleNamespace(settings=SimpleNamespace(threads=1), floor=floor)
+    best = trials.try_best(problem, SimpleNamespace(rms=10.0 * floor), np.zeros(4), scored)  # type: ignore[arg-type]
+    assert asked == heard and best[0].candidate.effect == "payload"
+
+
 def _refits_to(monkeypatch: pytest.MonkeyPatch, end: Trial) -> None:
     """Every candidate can be placed, and its refit ends where `end` does."""
     told = {
@@ -266,19 +298,21 @@ def test_strange_numbers_are_an_answer_only_where_nothing_is_left(
 
 
 @pytest.mark.parametrize(
-    ("floors", "behind", "expected", "named"),
+    ("strange", "floors", "behind", "expected", "named"),
     [
-        (1.0, True, "cannot_tell", ["stribeck", "spring"]),
-        (1.0, False, "named", ["stribeck"]),
-        (2.0, True, "named", ["stribeck"]),
+        ("servo_gain", 1.0, True, "cannot_tell", ["stribeck", "spring"]),
+        ("servo_gain", 1.0, False, "named", ["stribeck"]),
+        ("servo_gain", 2.0, True, "named", ["stribeck"]),
+        ("armature", 1.0, True, "named", ["stribeck"]),
     ],
 )
 def test_behind_numbers_that_are_strange_beside_a_name_another_effect_is_looked_for(
-    monkeypatch: pytest.MonkeyPatch, floors: float, behind: bool, expected: str, named: list[str]
+    monkeypatch: pytest.MonkeyPatch, strange: str, floors: float, behind: bool, expected: str, named: list[str]
 ) -> None:
-    """A strange number with nothing behind it is no finding there, and beside a real gap it has made up for that."""
+    """A strange number with nothing behind it is no finding there, beside a real gap it has made up for that, and a rotor that is
+    strange alone hides nothing."""
     spring = Suspect(Candidate("spring", ("tilt",)), FitOf("with both", 1.0), 9.0)  # type: ignore[arg-type]
-    gain, friction = (verdict.Named(name, name, ("tilt",), {}, {}, {}, 0.0, None, ()) for name in ("servo_gain", "stribeck"))
+    gain, friction = (verdict.Named(name, name, ("tilt",), {}, {}, {}, 0.0, None, ()) for name in (strange, "stribeck"))
     taken = replace(_trial("stribeck", 1.0), fit=FitOf("with stribeck", 1.0))  # type: ignore[arg-type]
     rounds = [decide.Round(FitOf("usual", 1.0), np.full(4, 36e-6), [], [taken], taken)]  # type: ignore[arg-type]
     written: list[str] = []
