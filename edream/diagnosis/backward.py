@@ -4,26 +4,33 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from jaxtyping import Float
 
-from edream.diagnosis.candidates import Candidate
+from edream.diagnosis.candidates import Candidate, untouched
 from edream.diagnosis.descent import Fit, begin, descend
-from edream.diagnosis.left_out import bootstrap, left_out_errors
+from edream.diagnosis.left_out import bootstrap, is_material, left_out_errors
 from edream.diagnosis.problem import Problem
 from edream.diagnosis.trials import as_published
 from edream.sim.least_squares import worth
 
 
-def backward(problem: Problem, fit: Fit, named: Sequence[Candidate]) -> tuple[Fit, list[Candidate]]:
-    """Take out effects that later ones explain: those without which left-out motions are predicted as well."""
+def backward(problem: Problem, fit: Fit, named: Sequence[Candidate], first: Float[np.ndarray, "M"]) -> tuple[Fit, list[Candidate]]:
+    """Take out effects that later ones explain: those without which left-out motions are predicted as well, or all but.
+
+    What is asked of an effect that comes later is asked of the earlier ones beside it, too.
+    `first` are the errors with nothing named.
+    """
     kept = list(named)
     for candidate in list(named)[:-1] if len(named) > 1 else []:
         errors = left_out_errors(problem, fit)
         refitted = refitted_without(problem, fit, candidate)
-        gain = left_out_errors(problem, refitted) - errors
-        low, _ = bootstrap(gain, problem.settings.seed)
-        gap = max(float((errors + gain).mean()) - problem.floor**2, 1e-18)
-        if low <= 0.0 or float(gain.mean()) / gap < problem.settings.gain:
-            fit, kept = refitted, [c for c in kept if c != candidate]
+        without_it = left_out_errors(problem, refitted)
+        low, _ = bootstrap(without_it - errors, problem.settings.seed)
+        gap = max(float(without_it.mean()) - problem.floor**2, 1e-18)
+        others = [one for one in kept if one != candidate]
+        gains = low > 0.0 and float((without_it - errors).mean()) / gap >= problem.settings.gain
+        if not (gains and is_material(problem, first, (without_it, refitted), (errors, fit), untouched(problem, others))):
+            fit, kept = refitted, others
     return fit, kept
 
 

@@ -13,10 +13,11 @@ from edream.diagnosis.candidates import Candidate, acted_on, confused_with, plac
 from edream.diagnosis.descent import Fit, begin, descend, polish
 from edream.diagnosis.left_out import (
     HALF,
+    MATERIAL,
     bootstrap,
     falls_short,
-    gained_on,
     is_brief,
+    is_material,
     is_real,
     joint_errors,
     leaves_no_gap,
@@ -48,7 +49,6 @@ from edream.diagnosis.trials import (
 )
 from edream.sim.least_squares import worth
 
-MATERIAL = 0.05  # of the gap at first, in root-mean-square error, that a further effect must close
 ALIKE = 0.9  # a rival that closes this share of what the winner closes may be the true one
 ELSEWHERE = 1.5  # floors of error on a joint where nothing is named: looked into, however large the gap was at first
 NEAR, RIVALS = 0.75, 5  # of the best one's gain; so many go on
@@ -161,13 +161,8 @@ def first_that_stands(problem: Problem, fit: Fit, passing: Sequence[Trial]) -> t
 def matters(
     problem: Problem, first: Float[np.ndarray, "M"], errors: Float[np.ndarray, "M"], fit: Fit, trial: Trial, bare: frozenset[str]
 ) -> bool:
-    """Whether a candidate's gain is worth a name beside the gap that was there at first; always so for the first one.
-
-    What comes after a large effect and gains little more is mostly that effect's own form, which no formula has exactly. What it
-    gains on `bare` joints, on which nothing is named, is something else, and may be as small as can be seen.
-    """
-    gap, gain = float(np.sqrt(first.mean())) - problem.floor, float(np.sqrt(errors.mean()) - np.sqrt(trial.errors.mean()))
-    return first is errors or gain >= MATERIAL * gap or gained_on(problem, bare, fit, trial.fit) >= VISIBLE * problem.floor
+    """Whether a candidate's gain is worth a name beside the gap that was there at first; always so for the first one."""
+    return first is errors or is_material(problem, first, (errors, fit), (trial.errors, trial.fit), bare)
 
 
 def settled(problem: Problem, errors: Float[np.ndarray, "M"], trials: Sequence[Trial]) -> list[Trial]:

@@ -17,6 +17,7 @@ BRIEF = 120.0  # s of motion, up to which trying is cheap
 LENGTHS = (1.0, 0.3)  # of a step
 REAL_GAP = 1.8  # floors of error that are a gap worth a name
 HALF = 0.5  # of the squared gap: a name that closes less of a real one may be a stand-in
+MATERIAL = 0.05  # of the gap at first, in root-mean-square error, that an effect beside others must close
 ASTRAY = 1.2  # times the fit's own error: a motion left out that is so much worse may say more about the step than about the model
 
 
@@ -131,3 +132,26 @@ def gained_on(problem: Problem, joints: frozenset[str], before: Fit, after: Fit)
         return 0.0
     own = np.array([joint in joints for joint in problem.joints])
     return rms(joint_errors(problem, before)[own]) - rms(joint_errors(problem, after)[own])
+
+
+def is_material(
+    problem: Problem,
+    first: Float[np.ndarray, "M"],
+    without: tuple[Float[np.ndarray, "M"], Fit],
+    beside: tuple[Float[np.ndarray, "M"], Fit],
+    bare: frozenset[str],
+) -> bool:
+    """Whether an effect beside others gains enough for a name.
+
+    What comes with a large effect and gains little more is mostly that effect's own form, which no formula has exactly. What it
+    gains on `bare` joints, on which nothing else is named, is something else, and may be as small as can be seen.
+
+    Args:
+        problem: its floor.
+        first: errors on motions left out, with nothing named.
+        without: those errors and the fit without the effect; `beside`: with it.
+        bare: the joints on which nothing else is named.
+    """
+    gap = float(np.sqrt(first.mean())) - problem.floor
+    gain = float(np.sqrt(without[0].mean()) - np.sqrt(beside[0].mean()))
+    return gain >= MATERIAL * gap or gained_on(problem, bare, without[1], beside[1]) >= VISIBLE * problem.floor

@@ -97,6 +97,8 @@ def try_best(
     begun.sort(key=lambda pair: pair[0].rms)
     gained = [1.0 - (near.rms / few.rms) ** 2 for near, _ in begun]
     hopeful = [pair for pair, gain in zip(begun, gained, strict=True) if gain >= HOPELESS * gained[0]][:FINISHED]
+    # what the score test says most for may only begin slowly: a payload has four numbers, beside some that have made up for it
+    hopeful += [pair for pair in begun if pair[1] is scored[0] and pair not in hopeful]
     trials = side_by_side(lambda pair: judged(problem, gone_on(fit, pair[0]), errors, pair[1]), hopeful, threads)
     return sorted(trials, key=lambda t: -t.closed)
 

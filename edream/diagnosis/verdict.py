@@ -104,7 +104,7 @@ def diagnose(problem: Problem, done: Callable[[str, int], object] = lambda text,
     ladder.append(("calibrated", np.sqrt(proof_errors(problem, before))))
     taken = [one.taken for one in rounds if one.taken is not None]
     ladder += [(_label(t), np.sqrt(proof_errors(problem, t.fit))) for t in taken]
-    fit, kept = backward(problem, fit, [t.candidate for t in taken])
+    fit, kept = backward(problem, fit, [t.candidate for t in taken], rounds[0].errors)
     trials = [t for t in taken if t.candidate in kept]
     left = left_out_errors(problem, fit) if trials else rounds[0].errors
     gap = max(rms(np.sqrt(rounds[0].errors)), rms(ladder[1][1])) / problem.floor

@@ -201,7 +201,7 @@ def test_strange_numbers_are_an_answer_only_where_nothing_is_left(
     told = {
         "proof_errors": lambda problem, fit: errors,
         "forward": lambda problem, fit, done: (problem, fit, [nothing]),
-        "backward": lambda problem, fit, candidates: (fit, []),
+        "backward": lambda problem, fit, candidates, first: (fit, []),
         "find_suspects": lambda problem, fit, strange, done: [spring] if behind else [],
     }
     found = _diagnosed(monkeypatch, gain, told)
@@ -234,7 +234,7 @@ def test_behind_numbers_that_are_strange_beside_a_name_another_effect_is_looked_
         "proof_errors": lambda problem, fit: np.full(4, 1e-6),
         "left_out_errors": lambda problem, fit: np.full(4, floors**2 * 1e-6),
         "forward": lambda problem, fit, done: (problem, taken.fit, rounds),
-        "backward": lambda problem, fit, candidates: (fit, candidates),
+        "backward": lambda problem, fit, candidates, first: (fit, candidates),
         "find_suspects": lambda problem, fit, strange, done: [spring] if behind else [],
         "_named": lambda problem, fit, trial, rounds, trials: written.append(fit.name) or friction,
     }
@@ -287,7 +287,6 @@ def _rounds(monkeypatch: pytest.MonkeyPatch, left: list[float], joint_errors: li
         "with_short_steps": lambda problem, fit: (problem, fit),
         "left_out_errors": lambda problem, fit: np.full(6, next(remaining)),
         "joint_errors": lambda problem, fit: np.array(joint_errors),
-        "gained_on": lambda problem, joints, before, after: 0.0,
         "screen": lambda problem, fit, done: [],
         "try_best": lambda problem, fit, errors, scored, done: [_trial("spring", 0.3)],
         "with_bold": lambda problem, fit, errors, trials, done: trials,
@@ -303,6 +302,7 @@ def _rounds(monkeypatch: pytest.MonkeyPatch, left: list[float], joint_errors: li
     }
     for name, stand_in in told.items():
         monkeypatch.setattr(decide, name, stand_in)
+    monkeypatch.setattr(left_out, "gained_on", lambda problem, joints, before, after: 0.0)
     problem = SimpleNamespace(floor=1.0, joints=("tilt", "pan"), settings=SimpleNamespace(most=4))
     return decide.forward(problem, None)[2]
 

@@ -100,3 +100,5 @@ def test_unlikely_candidates_wait_and_are_not_refitted_where_another_closes_near
     problem = SimpleNamespace(settings=SimpleNamespace(threads=1), floor=floor)
     best = trials.try_best(problem, SimpleNamespace(rms=10.0 * floor), np.zeros(4), scored)  # type: ignore[arg-type]
     assert asked == heard and best[0].candidate.effect == "payload"
+    # the likeliest by the score test is refitted to its end though its first steps gained little
+    assert {t.candidate.effect for t in best} == {"payload", "spring"}
