@@ -16,7 +16,6 @@ from edream.sim.simulation import SimulatedRobot
 NEAR, PASS, LAST = 12, 10, 4  # most steps on short pieces, on whole motions, joint by joint
 SHARE = 0.5  # standard deviations by which a share is moved to see whether motions tell it
 FAR = 4.0  # floors of error from which a valley with incredible numbers may be the wrong one
-OFF = 1.5  # floors of error from which numbers that sank may have sunk by mistake
 
 
 def published(problem: Problem) -> Objective:
@@ -31,7 +30,7 @@ def fit_nuisance(problem: Problem) -> Fit:
     bare = SimulatedRobot(problem.robot, nuisance_placements(problem))
     objective = replace(published(problem), simulated=bare)
     first = descend(begin(objective, bare.space.to_unit(beginning(objective))), None, iterations=8, tolerance=0.01)
-    if first.rms > OFF * problem.floor:
+    if first.rms > (1.0 + VISIBLE) * problem.floor:  # numbers that sank may have sunk by mistake
         first = raised(first)
     if first.rms > FAR * problem.floor and not credible(first):
         first = min(first, calibrated(objective), key=lambda one: one.rms)

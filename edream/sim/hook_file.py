@@ -26,6 +26,8 @@ Call it after ctrl is set and before each step. It owns model.dof_frictionloss a
 {starts}
 """
 
+import weakref
+
 import mujoco
 import numpy as np
 
@@ -166,16 +168,29 @@ def begin(model, data):
     mujoco.mj_forward(model, data)
 
 
+BASES = weakref.WeakKeyDictionary()  # of a model: its own dry friction, and what a step wrote over it
+
+
+def base_of(model):
+    """The model's own dry friction and what was written over it; what is neither is a new friction of its own."""
+    if model not in BASES or not np.array_equal(BASES[model][1], model.dof_frictionloss):
+        BASES[model] = model.dof_frictionloss.copy(), model.dof_frictionloss.copy()
+    return BASES[model]
+
+
 def make(model):
     """A function step(model, data) to be called before each mujoco.mj_step."""
-    laws, base, last, memory = calls(model), model.dof_frictionloss.copy(), [np.inf], {{}}
+    laws, last, memory = calls(model), [np.inf], {{}}
+    base, written = base_of(model)
 
     def step(model, data):
         if data.time < last[0] or data.time == 0.0:
+            model.dof_frictionloss[:] = base
             begin(model, data)
             memory.clear()
         last[0] = data.time
         apply(One(model, data, memory), base, laws)
+        written[:] = model.dof_frictionloss
 
     return step
 

@@ -248,5 +248,5 @@ def sources(config: FitConfig) -> Mapping[str, Source]:
 
 
 ENTRY = Stage(
-    name="fit", version=16, needs=needs, config=FitConfig, run=run, sources=sources, numerics=("mujoco", "scipy", "cma", "torch")
+    name="fit", version=17, needs=needs, config=FitConfig, run=run, sources=sources, numerics=("mujoco", "scipy", "cma", "torch")
 )
