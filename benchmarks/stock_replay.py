@@ -38,7 +38,8 @@ def hook_of(path: str | None, model: mujoco.MjModel) -> Callable[[mujoco.MjModel
     if path is None:
         return lambda model, data: None
     spec = importlib.util.spec_from_file_location("hook", path)
-    assert spec is not None and spec.loader is not None
+    if spec is None or spec.loader is None:
+        raise SystemExit(f"{path} is no Python file with make(model).")
     hook = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(hook)
     return hook.make(model)
@@ -53,8 +54,9 @@ def replayed(model: mujoco.MjModel, step: Callable[[mujoco.MjModel, mujoco.MjDat
     servo = [next(a for a in range(model.nu) if model.actuator_trnid[a, 0] == i) for i in ids]
     sensors = [mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SENSOR, f"{joint}_measured") for joint in joints]
     data = mujoco.MjData(model)
-    data.qpos[model.jnt_qposadr[ids]] = measured[0]
-    data.qvel[model.jnt_dofadr[ids]] = np.polyfit(times[:3], measured[:3], 1)[0]
+    gear = model.actuator_gear[servo, 0]  # an encoder before a gear counts its turns
+    data.qpos[model.jnt_qposadr[ids]] = measured[0] / gear
+    data.qvel[model.jnt_dofadr[ids]] = np.polyfit(times[:3], measured[:3], 1)[0] / gear
     out = [measured[0]]
     for now in times[1:]:
         while data.time < now - 0.5 * model.opt.timestep:

@@ -18,7 +18,7 @@ def backward(problem: Problem, fit: Fit, named: Sequence[Candidate], first: Floa
     """Take out effects that later ones explain: those without which left-out motions are predicted as well, or all but.
 
     What is asked of an effect that comes later is asked of the earlier ones beside it, too.
-    `first` are the errors with nothing named.
+    `first` are the errors of motions left out [rad^2], (M,), with nothing named.
     """
     kept = list(named)
     for candidate in list(named)[:-1] if len(named) > 1 else []:

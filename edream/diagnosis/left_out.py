@@ -148,7 +148,7 @@ def is_material(
 
     Args:
         problem: its floor.
-        first: errors on motions left out, with nothing named.
+        first: errors on motions left out [rad^2], (M,), with nothing named.
         without: those errors and the fit without the effect; `beside`: with it.
         bare: the joints on which nothing else is named.
     """

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from edream.diagnosis.descent import Fit, begin, descend
+from edream.diagnosis.left_out import leaves_no_gap
 from edream.diagnosis.problem import CREDIBLE_FACTOR, VISIBLE, Problem, nuisance_placements
 from edream.sim.beginning import beginning
 from edream.sim.least_squares import worth
@@ -30,7 +31,7 @@ def fit_nuisance(problem: Problem) -> Fit:
     bare = SimulatedRobot(problem.robot, nuisance_placements(problem))
     objective = replace(published(problem), simulated=bare)
     first = descend(begin(objective, bare.space.to_unit(beginning(objective))), None, iterations=8, tolerance=0.01)
-    if first.rms > (1.0 + VISIBLE) * problem.floor:  # numbers that sank may have sunk by mistake
+    if not leaves_no_gap(problem, first):  # numbers that sank may have sunk by mistake
         first = raised(first)
     if first.rms > FAR * problem.floor and not credible(first):
         first = min(first, calibrated(objective), key=lambda one: one.rms)

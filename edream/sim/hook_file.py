@@ -168,7 +168,7 @@ def begin(model, data):
     mujoco.mj_forward(model, data)
 
 
-BASES = weakref.WeakKeyDictionary()  # of a model: its own dry friction, and what a step wrote over it
+BASES = weakref.WeakKeyDictionary()  # of a model: its own dry friction [N m], and what a step wrote over it
 
 
 def base_of(model):
