@@ -34,11 +34,14 @@ def backward(problem: Problem, fit: Fit, named: Sequence[Candidate], first: Floa
     return fit, kept
 
 
-def refitted_without(problem: Problem, fit: Fit, candidate: Candidate) -> Fit:
-    """The fit without one effect, from where it is and, for its numbers may have made up for something, from published ones."""
-    smaller = without(fit, candidate)
-    space = smaller.space
-    plain = as_published(problem, space.names, smaller.values, candidate)
+def refitted_without(problem: Problem, fit: Fit, *candidates: Candidate) -> Fit:
+    """The fit without some effects, from where it is and, for its numbers may have made up for something, from published ones."""
+    smaller = fit
+    for candidate in candidates:
+        smaller = without(smaller, candidate)
+    space, plain = smaller.space, smaller.values
+    for candidate in candidates:
+        plain = as_published(problem, space.names, plain, candidate)
     again = begin(smaller.objective, np.clip(space.to_unit(plain), 0.0, 1.0))
     return min((descend(smaller, None, 3), descend(again, None, 6)), key=lambda one: one.rms)
 

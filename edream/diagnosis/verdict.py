@@ -10,7 +10,7 @@ from jaxtyping import Float
 from edream.catalog import load
 from edream.core.effect import Effect
 from edream.core.parameters import Parameter
-from edream.diagnosis.backward import backward
+from edream.diagnosis.backward import backward, refitted_without
 from edream.diagnosis.candidates import Candidate, placement
 from edream.diagnosis.decide import ALIKE, Round, forward, rivals
 from edream.diagnosis.descent import Fit, polish
@@ -19,7 +19,7 @@ from edream.diagnosis.nuisance import fit_nuisance, published, with_shares
 from edream.diagnosis.problem import Problem, nuisance_placements
 from edream.diagnosis.remainder import Remainder, find_remainder
 from edream.diagnosis.steps import in_continuous_time
-from edream.diagnosis.suspects import ORDINARY, Suspect, find_suspects, most_ordinary
+from edream.diagnosis.suspects import ORDINARY, Suspect, find_suspects, most_ordinary, with_ordinary_numbers
 from edream.diagnosis.trials import Trial
 from edream.sim.objective import rms
 from edream.sim.simulation import unit_at
@@ -64,7 +64,8 @@ class Diagnosis:
         verdict: the outcome.
         sentence: the outcome in words.
         effects: what is missing.
-        before: the model with nuisance numbers fitted; `after`: with the named effects (and the remainder's term, if any).
+        before: the model with nuisance numbers fitted, without what is named (`without_numbers`, where that is in the numbers);
+            `after`: with the named effects (and the remainder's term, if any).
         published_rms, before_rms, after_rms: error [rad] on motions that were never fitted.
         rounds: every forward step with its candidates.
         ladder: label of each step and the error [rad] on each never-fitted motion, (M,).
@@ -122,6 +123,7 @@ def diagnose(problem: Problem, done: Callable[[str, int], object] = lambda text,
     effects = [_named(problem, ended, t, rounds, trials) for t in trials]
     if suspects or not trials:  # beside a name, a strange number alone is that effect's own form, which no formula has exactly
         effects += with_suspects(problem, numbers, suspects)
+    also = [Candidate(one.name, one.targets).label for one in effects[len(trials) :]]
     remainder = rounds[0].formula or unexplained(problem, before, fit, rounds[0].errors, left, trials)
     done("remainder", 1)
     verdict, possible = judge(effects, remainder, short), contenders(fit, trials, effects, rounds, suspects)
@@ -129,9 +131,13 @@ def diagnose(problem: Problem, done: Callable[[str, int], object] = lambda text,
         fit = remainder.fit
         effects = [one for one in effects if remainder.beside_names]
         ladder.append(("remainder", np.sqrt(proof_errors(problem, fit))))
-    elif suspects:
+    elif also:
+        if not trials:
+            before = without_numbers(problem, fit, numbers, suspects)
+            ladder[1] = ("calibrated", np.sqrt(proof_errors(problem, before)))
         fit = ended
-        ladder.append((f"+ {suspects[0].candidate.label}", np.sqrt(proof_errors(problem, fit))))
+        more = f" and {len(also) - 1} more" if len(also) > 1 else ""
+        ladder.append((f"+ {also[0]}{more}", np.sqrt(proof_errors(problem, fit))))
     after = np.sqrt(proof_errors(problem, fit))
     return Diagnosis(
         problem=problem,
@@ -148,6 +154,20 @@ def diagnose(problem: Problem, done: Callable[[str, int], object] = lambda text,
         remainder=remainder,
         contenders=possible if verdict == "cannot_tell" else (),
     )
+
+
+def without_numbers(problem: Problem, fit: Fit, numbers: Sequence[Named], suspects: Sequence[Suspect]) -> Fit:
+    """The model fitted again without what is named, where that is in its numbers: those as published, no others strange instead.
+
+    Args:
+        problem: robot, motions and settings.
+        fit: the model with its strange numbers.
+        numbers: what is strange.
+        suspects: effects that would make them ordinary; the first is named instead of them.
+    """
+    if not suspects:
+        fit = refitted_without(problem, fit, *(Candidate(one.name, one.targets) for one in numbers))
+    return with_ordinary_numbers(problem, fit)
 
 
 def contenders(
@@ -324,7 +344,10 @@ def sentence(verdict: Verdict, effects: Sequence[Named], remainder: Remainder | 
     """The outcome in words that a roboticist uses; `joints` are all that the robot has."""
     if verdict == "none":
         return "Your simulator agrees with these recordings down to their noise; nothing is missing that they could show."
-    parts = [one.summary + _on(one.targets, joints) for one in effects]
+    places: dict[str, list[str]] = {}
+    for one in effects:
+        places.setdefault(one.summary, []).extend(one.targets)
+    parts = [summary + _on(targets, joints) for summary, targets in places.items()]
     if verdict == "unnamed":
         nothing = " No formula for it holds on motions left out, either; recordings of more such motions may settle it."
         what = f" It behaves like {remainder.formula} on {remainder.joint}." if remainder else nothing

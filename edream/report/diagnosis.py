@@ -76,7 +76,8 @@ def _gap_figures(found: Mapping[str, Any]) -> list[Figure]:
     if len(steps) > 2:  # the last step was refitted once more, with everything together
         final = np.sqrt(np.mean(np.square(errors["after"][len(errors["motions"]) - errors["proof"] :]), axis=1)).tolist()
         alone = len(steps) == 3 and len(found["summary.json"]["effects"]) <= 1
-        steps = [*steps[:2], (steps[2][0], final)] if alone else [*steps, ("all together, refitted", final)]
+        alike = np.allclose(final, steps[-1][1], rtol=1e-3)
+        steps = [*steps[:-1], (steps[-1][0], final)] if alone or alike else [*steps, ("all together, refitted", final)]
     return [
         ladder(steps, found["summary.json"]["gap"]["noise_floor_rad"]),
         maps(errors["joints"], errors["motions"], errors["before"], errors["after"], errors["proof"]),

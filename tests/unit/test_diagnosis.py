@@ -131,6 +131,8 @@ def test_the_sentence_says_all_joints_rather_than_their_names() -> None:
     assert "load-dependent friction on all 3 joints" in said
     assert "load_friction may be stribeck or cogging[a]" in said
     assert "on a and b" in sentence("named", [replace(one, targets=("a", "b"))], None, joints)
+    twice = [replace(one, targets=(joint,)) for joint in ("a", "c")]
+    assert sentence("named", twice, None, joints) == "Your simulator lacks load-dependent friction on a and c."
 
 
 def test_what_belongs_to_one_assembly_is_not_shared_by_a_hardware_group(problem: Problem) -> None:

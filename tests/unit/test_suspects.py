@@ -28,7 +28,7 @@ from edream.diagnosis.suspects import (
     with_ordinary_numbers,
 )
 from edream.diagnosis.trials import Trial
-from edream.diagnosis.verdict import off_nominal, strange_numbers
+from edream.diagnosis.verdict import off_nominal, strange_numbers, without_numbers
 from edream.reality.recorder import Recorder, make_recordings
 from edream.reality.truth import draw
 from tests.still_problem import still_problem
@@ -48,6 +48,9 @@ def test_one_strange_number_takes_no_others_along_on_a_joint_that_nothing_loads(
     assert [(one.name, one.targets) for one in off_nominal(problem, home)] == [("viscous", ("pan",))]
     true = truth.nuisance["kd"]["pan"] + truth.nuisance["damping"]["pan"] + truth.effects[0].values["coefficient"]
     assert home.space.mapping(home.values)["viscous.damping[pan]"] == pytest.approx(true, rel=0.1)
+    without_it = without_numbers(problem, home, off_nominal(problem, home), [])
+    assert "viscous.damping[pan]" not in without_it.space.names
+    assert without_it.rms > 3.0 * home.rms, "no factor on the joint's other numbers makes up for it"
 
 
 def test_a_factor_that_a_whole_joint_is_off_by_goes_and_one_strange_number_stays() -> None:

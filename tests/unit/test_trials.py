@@ -172,6 +172,9 @@ def _diagnosed(monkeypatch: pytest.MonkeyPatch, strange: verdict.Named, told: di
         "most_ordinary": lambda problem, fit: fit,
         "off_nominal": lambda problem, fit: [strange],
         "polish": lambda fit: fit,
+        "without_numbers": lambda problem, fit, numbers, suspects: FitOf(
+            f"without {suspects[0].candidate.effect if suspects else numbers[0].name}", 1.0
+        ),
         "numbers_of": lambda problem, fit, candidate: ({}, {}, {}),
         "find_remainder": lambda problem, fit, beside_names=False: None,
     }
@@ -182,16 +185,16 @@ def _diagnosed(monkeypatch: pytest.MonkeyPatch, strange: verdict.Named, told: di
 
 
 @pytest.mark.parametrize(
-    ("floors", "behind", "expected", "named", "written"),
+    ("floors", "behind", "expected", "named", "shown", "written"),
     [
-        (1.0, False, "named", ["servo_gain"], "usual"),
-        (6.0, False, "unnamed", [], "usual"),
-        (1.0, True, "cannot_tell", ["spring"], "with a spring"),
-        (6.0, True, "unnamed", [], "usual"),
+        (1.0, False, "named", ["servo_gain"], "without servo_gain", "usual"),
+        (6.0, False, "unnamed", [], "usual", "usual"),
+        (1.0, True, "cannot_tell", ["spring"], "without spring", "with a spring"),
+        (6.0, True, "unnamed", [], "usual", "usual"),
     ],
 )
 def test_strange_numbers_are_an_answer_only_where_nothing_is_left(
-    monkeypatch: pytest.MonkeyPatch, floors: float, behind: bool, expected: str, named: list[str], written: str
+    monkeypatch: pytest.MonkeyPatch, floors: float, behind: bool, expected: str, named: list[str], shown: str, written: str
 ) -> None:
     """What stands behind them is named instead, and is in the model that is written."""
     spring = Suspect(Candidate("spring", ("tilt",)), FitOf("with a spring", 1.0), 9.0)  # type: ignore[arg-type]
@@ -207,7 +210,8 @@ def test_strange_numbers_are_an_answer_only_where_nothing_is_left(
     found = _diagnosed(monkeypatch, gain, told)
     assert found.verdict == expected and [one.name for one in found.effects] == named
     assert ("servo gain" in found.sentence) is ("servo_gain" in named)
-    assert found.after.name == written  # type: ignore[attr-defined]
+    assert (found.before.name, found.after.name) == (shown, written)  # type: ignore[attr-defined]
+    assert [label for label, _ in found.ladder] == ["published", "calibrated", *(f"+ {name}[tilt]" for name in named)]
     assert [label for label, _ in found.contenders] == (["strange numbers", "spring[tilt]"] if expected == "cannot_tell" else [])
 
 
@@ -242,6 +246,7 @@ def test_behind_numbers_that_are_strange_beside_a_name_another_effect_is_looked_
     assert found.verdict == expected and [one.name for one in found.effects] == named
     both = len(named) > 1
     assert [found.after.name] == written == ["with both" if both else "with stribeck"]  # type: ignore[attr-defined]
+    assert found.before.name == "usual"  # type: ignore[attr-defined]
     assert [label for label, _ in found.contenders] == (["strange numbers", "spring[tilt]"] if both else [])
 
 
