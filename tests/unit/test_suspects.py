@@ -1,5 +1,6 @@
 """Numbers that recordings hardly tell stay as near to the published ones as they are met as well."""
 
+import re
 from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
@@ -170,6 +171,23 @@ def test_a_twin_of_the_best_effect_behind_strange_numbers_is_heard_once(monkeypa
     else:
         assert heard == [*scored, "load_friction"]
     assert [(s.candidate.effect, s.relief) for s in found] == [("load_friction", 40.0), ("directional_efficiency", 30.0)]
+
+
+def test_behind_numbers_that_the_model_publishes_as_nothing_no_effect_is_looked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    robot = robot_of("pan_tilt")
+    assert robot is not None
+    smooth = replace(robot, mjcf=re.sub(r'frictionloss="[^"]*"', 'frictionloss="0"', robot.mjcf))
+    assert smooth.mjcf != robot.mjcf
+    seed = 3
+    made = make_recordings(robot, draw(robot, [], np.random.default_rng(seed), 0.3, ("pan",)), seed, 5, 4.0, Recorder())
+    problem = prepare(
+        smooth, [Episode(r.name, robot.joints, r.times, r.position, r.command_times, r.command) for r in made], Settings()
+    )
+    fit = fit_nuisance(problem)
+    strange = [one for one in strange_numbers(problem, fit) if one.name == "coulomb"]
+    assert {one.targets for one in strange} == {("pan",), ("tilt",)}, "the recordings have friction"
+    monkeypatch.setattr(suspects, "screen", lambda *args: pytest.fail("looked for"))
+    assert suspects.find_suspects(problem, fit, [f"coulomb.torque[{one.targets[0]}]" for one in strange]) == []
 
 
 def test_what_makes_little_strangeness_ordinary_is_looked_for_since_it_may_meet_the_motions_better(
