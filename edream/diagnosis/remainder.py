@@ -283,7 +283,7 @@ def _formula(fit: Fit, placement: Placement) -> str:
     shape = dict(placement.fixed or {})
     terms = []
     for parameter in placement.parameters(fit.objective.simulated.robot.model):
-        quantity = parameter.name.split(".")[1].split("[")[0]
+        quantity = parameter.name.partition(".")[2].partition("[")[0]
         terms.append(f"{values[parameter.name]:+.3g} {_words(quantity, shape)}")
     return "tau = " + " ".join(terms) + " N m"
 
