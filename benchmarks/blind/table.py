@@ -8,7 +8,6 @@ from typing import Any
 from benchmarks.blind.names import library_name
 from edream.reality.effects import KINDS
 
-NUISANCE = {"servo_gain", "viscous", "coulomb", "armature"}  # the calibrated model takes these in before anything is named
 BASELINES = ("all_free", "bic", "sparse", "mlp")
 Row = Mapping[str, Any]
 
@@ -16,7 +15,7 @@ Row = Mapping[str, Any]
 def table(rows: Sequence[Row], planned: int) -> dict[str, Any]:
     """Everything that is reported, from the scored rows."""
     by_sort = {sort: [r for r in rows if r["sort"] == sort] for sort in ("single", "pair", "none", "foreign")}
-    named = [r for r in by_sort["single"] + by_sort["pair"] if r["right"] and not set(_effects(r)) <= NUISANCE]
+    named = [r for r in by_sort["single"] + by_sort["pair"] if r["right"]]
     values = [v for r in by_sort["single"] + by_sort["pair"] for v in r.get("values", [])]
     seconds = [r["seconds"] for r in rows if r["seconds"] is not None]
     return {
@@ -71,7 +70,7 @@ def by_effect(rows: Sequence[Row]) -> dict[str, dict[str, Any]]:
         out[name] = {
             "right": share(r["right"] for r in own),
             "found": share("missed" not in r["found"] for r in own) if "found" in own[0] else None,
-            "closed": None if name in NUISANCE else _median(r["closed"] for r in own if r["closed"] is not None),
+            "closed": _median(r["closed"] for r in own if r["closed"] is not None),
             "value_error": _median(v["relative"] for v in values),
             "values_right": share(v["right"] for v in values),
             "seconds": _median(r["seconds"] for r in own if r["seconds"] is not None),
