@@ -50,7 +50,8 @@ def all_free(found: Diagnosis) -> dict[str, Any]:
     extra += [Placement(load("effects", "payload", Effect), (body,)) for body in moving_bodies(problem)]
     simulated = SimulatedRobot(problem.robot, (*nuisance_placements(problem), *extra))
     objective = replace(published(problem), simulated=simulated)
-    known = found.before.space.mapping(found.before.values)
+    calibrated = found.rounds[0].before  # what is named in its numbers included, which `found.before` is without
+    known = calibrated.space.mapping(calibrated.values)
     start = [known.get(p.name, p.start if p.absent is None else p.absent) for p in simulated.space.parameters]
     fit = descend(begin(objective, np.clip(simulated.space.to_unit(np.array(start)), 0.0, 1.0)), None, iterations=6)
     return {"after_rad": _after(problem, fit), "numbers": len(fit.unit)}
@@ -62,15 +63,15 @@ def bic(found: Diagnosis) -> dict[str, Any]:
     Source: Schwarz, Annals of Statistics 6(2), 1978.
     """
     problem, first = found.problem, found.rounds[0]
-    trials = first.trials or try_best(problem, found.before, first.errors, screen(problem, found.before))
+    trials = first.trials or try_best(problem, first.before, first.errors, screen(problem, first.before))
 
     def criterion(fit: Fit) -> float:
         rows = len(fit.residual)
         return rows * math.log(float(fit.residual @ fit.residual) / rows) + len(fit.unit) * math.log(rows)
 
     best = min(trials, key=lambda t: criterion(t.fit), default=None)
-    if best is None or criterion(best.fit) >= criterion(found.before):
-        return {"named": None, "after_rad": found.before_rms}
+    if best is None or criterion(best.fit) >= criterion(first.before):
+        return {"named": None, "after_rad": _after(problem, first.before)}
     return {"named": best.candidate.label, "after_rad": _after(problem, best.fit)}
 
 

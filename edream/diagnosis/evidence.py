@@ -112,21 +112,22 @@ def _errors(found: Diagnosis) -> dict[str, Any]:
 
 
 def _nuisance(found: Diagnosis) -> list[dict[str, Any]]:
+    """Every usual number, its unit, and what it is published as, before and after; a named one stands as published before."""
     before, after = _numbers(found.before), _numbers(found.after)
     published = {
         p.name: p
-        for place in found.before.objective.simulated.placements
+        for place in found.rounds[0].before.objective.simulated.placements
         for p in replace(place, bounds=None, fixed=None).parameters(found.problem.robot.model)
     }
     return [
         {
             "name": name,
-            "unit": published[name].unit,
-            "published": 0.0 if published[name].guessed else published[name].start,
-            "before": numbers,
+            "unit": parameter.unit,
+            "published": 0.0 if parameter.guessed else parameter.start,
+            "before": before.get(name, dict.fromkeys(("value", "low", "high"), parameter.start)),
             "after": after.get(name),
         }
-        for name, numbers in before.items()
+        for name, parameter in published.items()
     ]
 
 

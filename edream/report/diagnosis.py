@@ -63,7 +63,7 @@ def _tiles(gap: Mapping[str, float], kept: int) -> list[tuple[str, str, str]]:
     """The numbers that a reader takes away: label, value, unit."""
     return [
         ("published model", mrad(gap["published_rad"]), "mrad"),
-        ("with usual numbers calibrated", mrad(gap["before_rad"]), "mrad"),
+        ("calibrated, nothing added", mrad(gap["before_rad"]), "mrad"),
         ("with what was missing", mrad(gap["after_rad"]), "mrad"),
         ("noise of the recordings", mrad(gap["noise_floor_rad"]), "mrad"),
         ("never fitted", str(kept), "motion" if kept == 1 else "motions"),
@@ -75,9 +75,7 @@ def _gap_figures(found: Mapping[str, Any]) -> list[Figure]:
     errors = found["errors.json"]
     if len(steps) > 2:  # the last step was refitted once more, with everything together
         final = np.sqrt(np.mean(np.square(errors["after"][len(errors["motions"]) - errors["proof"] :]), axis=1)).tolist()
-        alone = len(steps) == 3 and len(found["summary.json"]["effects"]) <= 1
-        alike = np.allclose(final, steps[-1][1], rtol=1e-3)
-        steps = [*steps[:-1], (steps[-1][0], final)] if alone or alike else [*steps, ("all together, refitted", final)]
+        steps = [*steps[:2], (steps[2][0], final)] if len(steps) == 3 else [*steps, ("all together, refitted", final)]
     return [
         ladder(steps, found["summary.json"]["gap"]["noise_floor_rad"]),
         maps(errors["joints"], errors["motions"], errors["before"], errors["after"], errors["proof"]),
@@ -85,7 +83,7 @@ def _gap_figures(found: Mapping[str, Any]) -> list[Figure]:
 
 
 def _step(label: str) -> str:
-    return {"published": "published model", "calibrated": "usual numbers calibrated", "remainder": "+ formula for the rest"}.get(
+    return {"published": "published model", "calibrated": "calibrated, nothing added", "remainder": "+ formula for the rest"}.get(
         label, label
     )
 

@@ -127,7 +127,7 @@ def _diagnosis(run: Run, hidden: Sequence[str]) -> dict[str, Any]:
         ("hidden in the robot", ", ".join(hidden) or "not known", "–"),
         ("named by edream", named, "–"),
         ("verdict", result["verdict"].replace("_", " "), "–"),
-        ("error before, usual numbers calibrated [mrad]", mrad(gap["before_rad"]), "–"),
+        ("error before, calibrated and nothing added [mrad]", mrad(gap["before_rad"]), "–"),
         ("error after, with what was named [mrad]", mrad(gap["after_rad"]), "–"),
         ("share of the error that is gone", share(closed), "–"),
     ]
