@@ -67,7 +67,7 @@ def main() -> None:
         if not given.no_train:
             batch, known = clip(options.batch), torch.zeros(options.batch, frames, dtype=torch.bool, device=device)
             found["training_step"] = timed(lambda: model.loss(batch, known, torch.Generator().manual_seed(0)).backward(), 3, cuda)
-    if model.denoiser.streams and not cuda:
+    if model.denoiser.streams:
         dreamer = Dreamer(model, np.zeros((h, w, 3), np.uint8))
         state = dreamer.start()
         blank = Render(*(np.zeros(shape, np.uint8) for shape in ((h, w, 3), (h, w), (h, w, 3), (h, w))))

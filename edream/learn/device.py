@@ -1,5 +1,7 @@
 """Where networks are trained and run."""
 
+import os
+
 import torch
 
 from edream.core.errors import EdreamError
@@ -17,4 +19,8 @@ def device_of(asked: str, setting: str) -> torch.device:
     """
     if asked == "cuda" and not torch.cuda.is_available():
         raise EdreamError(f"{setting} is cuda, but torch finds no GPU here; use {setting}=auto.")
-    return torch.device("cuda" if asked != "cpu" and torch.cuda.is_available() else "cpu")
+    if asked == "cpu" or not torch.cuda.is_available():
+        return torch.device("cpu")
+    # cuBLAS repeats its bytes only so, and torch refuses every product without it; it is read before the first one
+    os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")
+    return torch.device("cuda")

@@ -129,7 +129,8 @@ def train(
     fill(network, part(state, WEIGHTS), "The training state")
     device = next(network.parameters()).device
     average = {name: value.to(device) for name, value in part(state, AVERAGE).items()}
-    adam = torch.optim.Adam(network.parameters(), lr=schedule.rate, betas=(0.9, 0.99), foreach=False)
+    many = device.type == "cuda"  # all tensors at a time there: a GPU waits for hundreds of small calls otherwise
+    adam = torch.optim.Adam(network.parameters(), lr=schedule.rate, betas=(0.9, 0.99), foreach=many)
     for name, tensor in network.named_parameters():
         moments = (torch.from_numpy(np.array(state[kind + name])).to(device) for kind in (FIRST, SECOND))
         adam.state[tensor] = dict(zip(("exp_avg", "exp_avg_sq"), moments, strict=True)) | {"step": torch.tensor(float(first))}
@@ -143,7 +144,7 @@ def train(
         with narrow:
             loss = loss_of(step)
         loss.backward()
-        torch.nn.utils.clip_grad_norm_(network.parameters(), schedule.clip, foreach=False)
+        torch.nn.utils.clip_grad_norm_(network.parameters(), schedule.clip, foreach=many)
         adam.step()
         losses.append(ranks.mean(loss.detach()) if together else float(loss.detach()))
         if not math.isfinite(losses[-1]):
@@ -152,9 +153,8 @@ def train(
             )
         decay = min(schedule.average, (1.0 + step) / (10.0 + step))
         with torch.no_grad():
-            for name, tensor in network.state_dict().items():
-                if tensor.is_floating_point():
-                    average[name].lerp_(tensor.float(), 1.0 - decay)
+            moving = {name: tensor.float() for name, tensor in network.state_dict().items() if tensor.is_floating_point()}
+            torch._foreach_lerp_([average[name] for name in moving], list(moving.values()), 1.0 - decay)
     return _state(network, average, adam), losses
 
 

@@ -100,6 +100,8 @@ class Trainer:
             for weights in self.codec.values():
                 fill(model.codec, {name: torch.from_numpy(np.array(array)) for name, array in weights.items()}, CODEC)
             model.to(device_of(self.options.device, "dream.device"))
+            if self.options.compile:
+                model.denoiser.compile()
             batches = Batches(self.scenes, self.options, self.variants[number], self.seed, self.latents)
             self._at_work = number, model, batches
         return new_state(self._at_work[1].denoiser)

@@ -3,7 +3,7 @@
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -90,6 +90,14 @@ class Trainer:
         names = tuple(sorted(made[number].name for number in held))
         return cls(config, about, network, tuple(one for _, one in taught), batches, judge, names)
 
+    @cached_property
+    def lesson(self) -> Lesson:
+        """The loss of a step, compiled where that is asked for: once, for compiling is what costs."""
+        lesson = Lesson(self.network)
+        if self.config.sft.compile:
+            lesson.compile()
+        return lesson
+
     @property
     def number(self) -> int:
         """By which processes know that they train the same."""
@@ -97,8 +105,8 @@ class Trainer:
 
     def piece(self, state: State, first: int, last: int, together: bool) -> tuple[State, list[float]]:
         """Steps `first` up to `last`, by all processes where `together`."""
-        device, lesson = next(self.network.parameters()).device, Lesson(self.network)
-        called = ranks.as_one(lesson) if together else lesson
+        device = next(self.network.parameters()).device
+        called = ranks.as_one(self.lesson) if together else self.lesson
         own = (ranks.rank(), ranks.world()) if together else (0, 1)
         batches = replace(self.batches, part=own)
 

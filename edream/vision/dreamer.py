@@ -171,14 +171,14 @@ class DreamModel(torch.nn.Module):
                 f"dream.overlap is {overlap} and dream.frames {chunk}; expected an overlap below the number of frames."
             )
         b, total, _, h, w = clip.real.shape
-        done = torch.zeros((b, 0, 3, h, w))
+        done = torch.zeros((b, 0, 3, h, w), device=clip.real.device)
         while done.shape[1] < total:
             first = max(0, done.shape[1] - overlap)
             part = Clip(
                 *(getattr(clip, n)[:, first : first + chunk] for n in ("real", "composite", "background", "robot", "object"))
             )
             before = done[:, first:] if done.shape[1] > first else None
-            noise = self.noise(b, part.real.shape[1], h, w, seed, first)
+            noise = self.noise(b, part.real.shape[1], h, w, seed, first).to(done.device)
             made = self.sample(part, noise, steps, before)
             done = torch.cat([done, made[:, 0 if before is None else before.shape[1] :]], dim=1)
         return done
@@ -209,6 +209,7 @@ class Dreamer:
         if not model.denoiser.streams:
             raise EdreamError("This denoiser works on whole clips and cannot stream; use dream.denoiser.kind=unet.")
         self.model, self.grain, self.seed, self.steps = model.eval(), grain, seed, steps or model.objective.steps
+        self._device = next(model.denoiser.parameters()).device
         self._reference = images(reference)[None, None]
 
     def start(self) -> "Past":
@@ -226,11 +227,11 @@ class Dreamer:
         Returns:
             The new state, and the image, (H, W, 3).
         """
-        clip = render.clip(self._reference)
+        clip = render.clip(self._reference).to(self._device)
         composite, shown = self.model.shown(clip)
         network = self.model.network(composite, shown, iter(state.caches))
         h, w = clip.real.shape[-2:]
-        noise = self.model.noise(1, 1, h, w, self.seed, state.frame)
+        noise = self.model.noise(1, 1, h, w, self.seed, state.frame).to(self._device)
         drawn = self.model.objective.sample(network, composite, noise, self.steps, self.model.options)
         image = self.model.decode(drawn)[0, 0]
         return Past(state.frame + 1, state.caches), finished(image[None], self.grain, self.seed, state.frame)[0]

@@ -33,6 +33,7 @@ class DreamOptions:
     baseline: bool = True
     ablation: bool = True
     device: str = "auto"
+    compile: bool = False
 
     def __post_init__(self) -> None:
         shortest = min(self.frames, self.train_frames)

@@ -1,6 +1,7 @@
 """Training in several processes, kept latents, gradient checkpointing, narrow numbers: flags that do what they say."""
 
 import json
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -35,6 +36,7 @@ TINY = DreamOptions(
     train_frames=4,
     batch=4,
     overlap=2,
+    device="cpu",  # whose bytes are compared, where there is a GPU, too
 )
 
 
@@ -202,6 +204,27 @@ def test_narrow_numbers_are_used_inside_and_loss_and_state_stay_wide(tmp_path: P
     other, same = wide.piece(wide.begin(0), 0, 2)
     assert not np.array_equal(losses, same) and np.allclose(losses, same, rtol=0.1)
     assert weights_digest(state) != weights_digest(other)
+
+
+def test_a_gpu_is_asked_to_repeat_its_bytes_before_its_first_product(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("CUBLAS_WORKSPACE_CONFIG", raising=False)
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    assert device_of("cpu", "dream.device").type == "cpu" and "CUBLAS_WORKSPACE_CONFIG" not in os.environ
+    assert device_of("auto", "dream.device").type == "cuda", (
+        "torch refuses products there under deterministic algorithms without it"
+    )
+    assert os.environ.pop("CUBLAS_WORKSPACE_CONFIG") == ":4096:8"
+
+
+@pytest.mark.parametrize("asked", [False, True])
+def test_the_loss_of_a_policy_is_compiled_where_that_is_asked_for(asked: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    compiled: list[torch.nn.Module] = []
+    monkeypatch.setattr(torch.nn.Module, "compile", lambda self: compiled.append(self))
+    one = sft()
+    one = replace(one, config=replace(one.config, sft=replace(one.config.sft, compile=asked)))
+    state, _ = one.piece(new_state(one.network), 0, 1, together=False)
+    one.piece(state, 1, 2, together=False)
+    assert compiled == ([one.lesson] if asked else []), "once, however many pieces"
 
 
 def test_a_gpu_that_is_asked_for_and_not_there_is_a_sentence() -> None:
