@@ -74,16 +74,16 @@ class KlVae(Codec):
 
     def train(self, codec: FittedCodec, images: Tensor, steps: int, seed: int) -> list[float]:
         assert isinstance(codec, Autoencoder)
-        rng = np.random.default_rng((seed, 0xC0))
+        rng, device = np.random.default_rng((seed, 0xC0)), next(codec.parameters()).device
         codec.requires_grad_(True).train()
         adam = torch.optim.Adam(codec.network.parameters(), lr=1e-3, betas=(0.9, 0.99))
         losses = []
         for step in range(steps):
             for group in adam.param_groups:
                 group["lr"] = 1e-3 * min(1.0, (step + 1) / 20) * (1.0 - 0.95 * step / steps)
-            some = images[torch.from_numpy(rng.integers(0, len(images), 16))]
+            some = images[torch.from_numpy(rng.integers(0, len(images), 16))].to(device)
             found = codec.network.encode(some).latent_dist
-            sample = found.mean + found.std * torch.from_numpy(rng.standard_normal(found.mean.shape)).float()
+            sample = found.mean + found.std * torch.from_numpy(rng.standard_normal(found.mean.shape)).float().to(device)
             error = codec.network.decode(sample).sample - some
             loss = error.abs().mean() + error.square().mean() + 1e-6 * found.kl().mean()
             adam.zero_grad()
@@ -92,7 +92,7 @@ class KlVae(Codec):
             losses.append(float(loss.detach()))
         codec.requires_grad_(False).eval()
         with torch.no_grad():
-            means = torch.cat([codec.network.encode(part).latent_dist.mean for part in images[:256].split(32)])
+            means = torch.cat([codec.network.encode(part.to(device)).latent_dist.mean for part in images[:256].split(32)])
             # by channel: a small VAE's differ fivefold, and one number for all would leave some of them in the noise of `epsilon`
             codec.centre.copy_(means.mean(dim=(0, 2, 3)))
             codec.spread.copy_(means.std(dim=(0, 2, 3)).clamp(min=1e-6))

@@ -65,7 +65,11 @@ def reconstruction_psnr(codec: FittedCodec, clips: Sequence[Float[Tensor, "T 3 H
     """What the codec alone loses [dB]; None for a lossless one. No model behind it can score better."""
     if codec.lossless:
         return None
+    device = next(codec.parameters()).device
     with torch.no_grad():
-        apart = [(codec.decode(codec.encode(clip)).clamp(-1, 1) - clip).square().mean().item() for clip in clips]
+        apart = [
+            (codec.decode(codec.encode(clip)).clamp(-1, 1) - clip).square().mean().item()
+            for clip in (one.to(device) for one in clips)
+        ]
     error = sum(apart) / len(apart)
     return float(10.0 * torch.log10(torch.tensor(4.0 / max(error, 1e-12))))

@@ -70,7 +70,7 @@ def run(inputs: Mapping[str, Artifact], config: CodecConfig, work: Work) -> Bund
 
 def _taught(options: CodecOptions, scenes: Scenes, seed: int, work: Work) -> Mapping[str, Any]:
     def fit(item: int, rng: np.random.Generator) -> Bundle:
-        codec = new_codec(options.codec, seed)
+        codec = new_codec(options.codec, seed).to(device_of(options.device, "dream.device"))
         held = [
             clip_of(scenes, [(n, f, "none")], options.frames).real[0]
             for n, f in starts(scenes, options.frames, True, options.frames)
