@@ -24,3 +24,13 @@ def device_of(asked: str, setting: str) -> torch.device:
     # cuBLAS repeats its bytes only so, and torch refuses every product without it; it is read before the first one
     os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")
     return torch.device("cuda")
+
+
+def acting_on(asked: str) -> str:
+    """Where a policy acts in trials: on the processor, where a small network is as fast, unless a GPU is asked for by name, as
+    large ones need it.
+
+    Args:
+        asked: auto, cpu or cuda.
+    """
+    return "cuda" if asked == "cuda" else "cpu"

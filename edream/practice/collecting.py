@@ -13,6 +13,7 @@ from edream.core.policy import Observation, World
 from edream.core.stage import Artifact, Bundle, Work
 from edream.learn.checkpoint import read_weights
 from edream.learn.determinism import deterministic
+from edream.learn.device import device_of
 from edream.practice.about import PolicyAbout
 from edream.practice.film import film_of
 from edream.practice.trial import Chance, Eyes, OwnEyes, Trial, play
@@ -27,10 +28,12 @@ class Player:
     Attributes:
         weights: a .safetensors file.
         about: what `PolicyAbout.plain` says.
+        device: cpu or cuda.
     """
 
     weights: Path
     about: Mapping[str, Any]
+    device: str = "cpu"
 
 
 @dataclass(frozen=True)
@@ -74,7 +77,7 @@ def played(shard: Shard, rng: np.random.Generator, *, player: Player, manner: Ma
     """Play one shard, on one thread: torch's sums depend on the number of threads, and a policy's numbers may not."""
     with deterministic(1):
         about = PolicyAbout.of(player.about)
-        network = about.network(read_weights(player.weights)).eval()
+        network = about.network(read_weights(player.weights)).eval().to(device_of(player.device, "policy.device"))
         world, eyes = shard.open(), manner.eyes()
         trials: list[Trial] = []
         films: dict[str, dict[str, np.ndarray]] = {}

@@ -49,6 +49,17 @@ class PolicyOptions:
 
 
 @dataclass(frozen=True)
+class Acting:
+    """Of the policy only where it is run.
+
+    Attributes:
+        device: auto, cpu or cuda.
+    """
+
+    device: str = "auto"
+
+
+@dataclass(frozen=True)
 class SftOptions:
     """Training on demonstrations.
 

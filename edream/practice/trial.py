@@ -133,7 +133,8 @@ def play(
     chance = chance or Chance()
     rng = np.random.default_rng((seed, start, sample))
     noise = StartNoise(chance.joints, chance.objects, int(rng.integers(2**31)))
-    z = torch.from_numpy(chance.latent * rng.standard_normal((1, network.latent))).float()
+    device = next(network.parameters()).device
+    z = torch.from_numpy(chance.latent * rng.standard_normal((1, network.latent))).float().to(device)
     offset = chance.action * rng.standard_normal(about.shape.actions)
     observation = world.reset(start, noise if chance.joints or chance.objects else None)
     eyes.begin(world, int(rng.integers(2**31)))
@@ -147,7 +148,7 @@ def play(
             for kept, value in zip((joints, images, states), row, strict=True):
                 kept.append(value)
             with torch.no_grad():
-                chunk = network.chunk(about.seen(*(value[None] for value in row)), z)[0].numpy()
+                chunk = network.chunk(about.seen(*(value[None] for value in row)).to(device), z)[0].cpu().numpy()
             plans.add(step, about.actions.back(chunk + offset))
             fresh = np.sqrt(1.0 - chance.memory**2) * chance.action * rng.standard_normal(len(offset))
             offset = chance.memory * offset + fresh

@@ -16,10 +16,12 @@ from edream.core.errors import EdreamError, require
 from edream.core.stage import Artifact, Bundle, Source, Stage, Work
 from edream.core.task import Task
 from edream.ingest.episode_file import write_episode
+from edream.learn.device import acting_on
 from edream.practice.about import ABOUT, WEIGHTS, PolicyAbout
 from edream.practice.collecting import OUTCOMES, Manner, Player, Shard, collected, outcomes_of, split
 from edream.practice.film import episode_of, moving_picture
 from edream.practice.naming import NAMES, brief, label
+from edream.practice.options import Acting
 from edream.practice.rates import Paired, Rate, apart, paired, rate
 from edream.practice.rehearsing import require_task
 from edream.reality.cell_look import CellLook
@@ -67,6 +69,7 @@ class EvaluateConfig:
     robot: RobotSettings
     task: str
     data: Path
+    policy: Acting
     evaluate: EvaluateOptions
     seed: int
 
@@ -94,7 +97,8 @@ def run(inputs: Mapping[str, Artifact], config: EvaluateConfig, work: Work) -> B
             open_reality, RobotModel(robot.name, robot.mjcf, dict(robot.assets), robot.site), truth, config.task, about.rate, look
         )
         turns = [(options.first + number, 0) for number in range(options.starts)]
-        player, manner = Player(inputs[name].path(WEIGHTS), inputs[name][ABOUT]), Manner(seed=config.seed, keep=False)
+        player = Player(inputs[name].path(WEIGHTS), inputs[name][ABOUT], acting_on(config.policy.device))
+        manner = Manner(seed=config.seed, keep=False)
         shards = [Shard(opener, piece) for piece in split(turns, options.shard)]
         outcomes = outcomes_of(collected(work, f"reality-{number}", player, shards, manner))
         tables.append(outcomes.append_column("policy", pa.array([name] * len(outcomes))))

@@ -16,7 +16,7 @@ from edream.core.stage import Artifact, Bundle, Source, Stage, Work
 from edream.ingest.stored import stored_episodes
 from edream.learn.checkpoint import weights_digest
 from edream.learn.determinism import deterministic
-from edream.learn.device import device_of
+from edream.learn.device import acting_on, device_of
 from edream.learn.preference import Preference
 from edream.learn.training import AVERAGE, Ahead, new_state, part, train
 from edream.practice.about import ABOUT, WEIGHTS, PolicyAbout
@@ -194,7 +194,8 @@ def _tried(
     found = [{**rolled[HISTORY][-1]["kept"], "step": 0}] if rolled[HISTORY] else []
     tried = [(0, rolled.path(WEIGHTS)), *((one["told.json"]["step"], one.path(WEIGHTS)) for one in pieces)]
     for number, (step, path) in list(enumerate(tried))[len(found) :]:
-        outcomes = outcomes_of(collected(work, f"held-{number}", Player(path, rolled[ABOUT]), shards, manner))
+        player = Player(path, rolled[ABOUT], acting_on(config.policy.device))
+        outcomes = outcomes_of(collected(work, f"held-{number}", player, shards, manner))
         distance = float(outcomes["distance"].to_numpy().mean())
         found.append({"step": step, "success": float(np.mean(outcomes["success"].to_pylist())), "distance_m": distance})
     return found

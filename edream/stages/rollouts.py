@@ -5,9 +5,11 @@ from dataclasses import dataclass
 
 from edream.calibration.settings import RobotSettings, SpaceSettings
 from edream.core.stage import Artifact, Bundle, Source, Stage, Work
+from edream.learn.device import acting_on
 from edream.practice.about import ABOUT, WEIGHTS, PolicyAbout
 from edream.practice.collecting import TRIALS, Manner, Player, collected, outcomes_of
 from edream.practice.dreaming import eyes_of
+from edream.practice.options import Acting
 from edream.practice.rates import rate
 from edream.practice.rehearsing import RolloutOptions, cell_of, needs_of, physics_for, require_task, shards_of, sources_of
 from edream.vision.variants import DreamOptions
@@ -28,6 +30,7 @@ class RolloutsConfig:
 
     robot: RobotSettings
     task: str
+    policy: Acting
     fit: SpaceSettings
     dream: DreamOptions
     rollouts: RolloutOptions
@@ -57,7 +60,7 @@ def run(inputs: Mapping[str, Artifact], config: RolloutsConfig, work: Work) -> B
     first = options.first + (config.rl.rounds - 1) * options.starts
     shards = shards_of(cells, range(first, first + options.starts), options.samples, options.shard)
     manner = Manner(options.noise, config.seed, True, eyes_of(options, inputs, config.dream, config.seed))
-    found = collected(work, "trials", Player(source.path(WEIGHTS), source[ABOUT]), shards, manner)
+    found = collected(work, "trials", Player(source.path(WEIGHTS), source[ABOUT], acting_on(config.policy.device)), shards, manner)
     outcomes = outcomes_of(found)
     succeeded = rate(outcomes["success"].to_pylist())
     summary = {

@@ -16,7 +16,7 @@ from edream.ingest.episode_read import read_episode
 from edream.learn.determinism import deterministic
 from edream.learn.policy import Policy, PolicyShape, Scale, Seen, log_likelihood, masked_l1
 from edream.learn.training import Ahead, Schedule, new_state, train
-from edream.practice.collecting import Manner, Player, Shard, collected, outcomes_of, split
+from edream.practice.collecting import Manner, Player, Shard, collected, outcomes_of, played, split
 from edream.practice.demonstrations import ChunkBatches, chunk_of
 from edream.practice.film import episode_of, film_of, moving_picture
 from edream.practice.options import SftOptions
@@ -190,6 +190,14 @@ def test_one_and_four_workers_give_the_same_numbers(tmp_path: Path) -> None:
     for a, b in zip(found[0][1], found[1][1], strict=True):
         assert all(np.array_equal(a[name], b[name]) for name in a)
     assert not np.array_equal(found[0][1][0]["actions"][0], found[0][1][0]["actions"][1])
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
+def test_a_policy_acts_where_it_is_told_to(tmp_path: Path) -> None:
+    about_ = about([demonstrated(1), demonstrated(2)])
+    player = Player(kept(tmp_path, about_, about_.network(seed=1)), about_.plain(), "cuda")
+    with pytest.raises(EdreamError, match=r"policy\.device is cuda, .* no GPU"):
+        played(Shard(partial(open_toy, 0.1), ((1, 0),)), np.random.default_rng(0), player=player, manner=Manner())
 
 
 def test_a_policy_for_another_world_is_a_sentence() -> None:

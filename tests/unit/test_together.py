@@ -13,7 +13,7 @@ from edream.calibration.settings import RobotSettings
 from edream.core.errors import EdreamError
 from edream.learn import ranks
 from edream.learn.checkpoint import weights_digest
-from edream.learn.device import device_of
+from edream.learn.device import acting_on, device_of
 from edream.learn.training import Schedule, new_state
 from edream.practice.demonstrations import ChunkBatches
 from edream.practice.options import PolicyOptions, SftOptions
@@ -214,6 +214,7 @@ def test_a_gpu_is_asked_to_repeat_its_bytes_before_its_first_product(monkeypatch
         "torch refuses products there under deterministic algorithms without it"
     )
     assert os.environ.pop("CUBLAS_WORKSPACE_CONFIG") == ":4096:8"
+    assert [acting_on(asked) for asked in ("auto", "cpu", "cuda")] == ["cpu", "cpu", "cuda"], "small networks act on the processor"
 
 
 @pytest.mark.parametrize("asked", [False, True])
