@@ -19,8 +19,10 @@ def _last(value: str) -> str:
 
 
 def brief(name: str) -> str:
-    """A row's name for headlines and titles: of many settings the first ones; the table has them all."""
+    """A row's name for headlines and titles: of many settings the first ones, of cameras their number; the table has them all."""
     first, *settings, views = name.split(", ")
+    if len(name) > BRIEF:
+        settings = [one for one in settings if not one.startswith("policy.cameras=")]
     kept: list[str] = []
     while settings and len(", ".join([first, *kept, settings[0], views])) <= BRIEF:
         kept.append(settings.pop(0))

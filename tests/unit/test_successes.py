@@ -75,4 +75,6 @@ def test_a_policy_that_went_on_from_a_folder_is_named_after_the_folder_alone() -
     assert brief("SFT, 1 view") == "SFT, 1 view"
     many = "SFT, sft.start=d4de80, sft.change.share=0.5, sft.train.steps=6000, 1 view"
     assert brief(many) == "SFT, sft.start=d4de80, sft.change.share=0.5, ..., 1 view"
+    three = label("sft policy.cameras=[cam_high,cam_side,wrist] sft.twins=false") + ", 3 views"
+    assert brief(three) == "SFT, sft.twins=false, 3 views", "the number of views says enough of the cameras"
     assert label("rl rl.rounds=2") == f"{label('rl')}, rl.rounds=2"
