@@ -3,10 +3,13 @@
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import torch
 
 from edream.core.cores import cores
+
+MEMORY: Any = torch.utils.deterministic  # a module whose attributes are made when they are asked for
 
 
 def threads() -> int:
@@ -23,13 +26,13 @@ def deterministic(count: int | None = None) -> Iterator[None]:
     nobody wrote.
     """
     before, strict = torch.get_num_threads(), torch.are_deterministic_algorithms_enabled()
-    filled = torch.utils.deterministic.fill_uninitialized_memory
+    filled = MEMORY.fill_uninitialized_memory
     torch.set_num_threads(count or threads())
     torch.use_deterministic_algorithms(True)
-    torch.utils.deterministic.fill_uninitialized_memory = False
+    MEMORY.fill_uninitialized_memory = False
     try:
         yield
     finally:
         torch.set_num_threads(before)
         torch.use_deterministic_algorithms(strict)
-        torch.utils.deterministic.fill_uninitialized_memory = filled
+        MEMORY.fill_uninitialized_memory = filled

@@ -10,6 +10,7 @@ from typing import Generic, TypeVar
 import numpy as np
 import torch
 from torch import Tensor, nn
+from torch.optim.swa_utils import get_ema_multi_avg_fn
 
 from edream.core.errors import EdreamError
 from edream.learn import ranks
@@ -152,9 +153,8 @@ def train(
                 f"The loss is not finite after {step + 1} training steps; lower dream.train.rate ({schedule.rate:g})."
             )
         decay = min(schedule.average, (1.0 + step) / (10.0 + step))
-        with torch.no_grad():
-            moving = {name: tensor.float() for name, tensor in network.state_dict().items() if tensor.is_floating_point()}
-            torch._foreach_lerp_([average[name] for name in moving], list(moving.values()), 1.0 - decay)
+        moving = {name: tensor.float() for name, tensor in network.state_dict().items() if tensor.is_floating_point()}
+        get_ema_multi_avg_fn(decay)([average[name] for name in moving], list(moving.values()), step)
     return _state(network, average, adam), losses
 
 
