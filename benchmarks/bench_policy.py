@@ -1,7 +1,7 @@
 """How fast a policy learns and acts: training steps a second through the real training loop, milliseconds a chunk of actions.
 
-Speed does not depend on what is seen, so noise is: python -m benchmarks.bench_policy [--conf full] [--cameras 3] [--compile]
-[NAME=VALUE ...]
+Speed does not depend on what is seen, so noise is: python -m benchmarks.bench_policy [--conf full] [--cameras 3]
+[NAME=VALUE ...], such as sft.compile=true
 """
 
 import argparse
@@ -25,7 +25,6 @@ def main() -> None:
     asked.add_argument("--cameras", type=int, default=3)
     asked.add_argument("--actions", type=int, default=14)
     asked.add_argument("--steps", type=int, default=60)
-    asked.add_argument("--compile", action="store_true")
     asked.add_argument("overrides", nargs="*")
     given = asked.parse_args()
     wanted = config.read(config.compose(["robot=arm6", "data=.", f"policy={given.conf}", *given.overrides]), SftConfig)
@@ -35,7 +34,7 @@ def main() -> None:
     shape = PolicyShape(given.actions, options.chunk, given.cameras, options.height, options.width)
     network = catalog.load("policies", options.kind, Policy).build(shape, options.options).to(device)
     lesson = Lesson(network)
-    if given.compile:
+    if sft.compile:
         lesson.compile()
     batch, size = sft.batch, (options.height, options.width, 3)
     images = torch.randint(0, 255, (batch, given.cameras, *size), dtype=torch.uint8)
@@ -70,7 +69,7 @@ def main() -> None:
         "parameters": sum(one.numel() for one in network.parameters()),
         "batch": batch,
         "precision": sft.train.precision,
-        "compiled": given.compile,
+        "compiled": sft.compile,
         "first_steps_s": 5 * first,
         "steps_per_s": 1.0 / seconds,
         "chunk_ms": 1e3 * sorted(acting)[len(acting) // 2],

@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 import pyarrow as pa
 
+from edream.core.parameters import Parameter
 from edream.diagnosis.descent import Fit
 from edream.diagnosis.problem import Problem
 from edream.diagnosis.verdict import Diagnosis
@@ -112,23 +113,26 @@ def _errors(found: Diagnosis) -> dict[str, Any]:
 
 
 def _nuisance(found: Diagnosis) -> list[dict[str, Any]]:
-    """Every usual number, its unit, and what it is published as, before and after; a named one stands as published before."""
+    """Every usual number, its unit, and what it is published as, before and after."""
     before, after = _numbers(found.before), _numbers(found.after)
     published = {
         p.name: p
         for place in found.rounds[0].before.objective.simulated.placements
         for p in replace(place, bounds=None, fixed=None).parameters(found.problem.robot.model)
     }
-    return [
-        {
-            "name": name,
-            "unit": parameter.unit,
-            "published": 0.0 if parameter.guessed else parameter.start,
-            "before": before.get(name, dict.fromkeys(("value", "low", "high"), parameter.start)),
-            "after": after.get(name),
-        }
-        for name, parameter in published.items()
-    ]
+    return [usual_number(parameter, before.get(name), after.get(name)) for name, parameter in published.items()]
+
+
+def usual_number(parameter: Parameter, before: dict[str, float] | None, after: dict[str, float] | None) -> dict[str, Any]:
+    """A row of the table of usual numbers; one that is named is not fitted before, where the model has it as published.
+
+    Args:
+        parameter: as the published model gives it.
+        before, after: value, low and high in `parameter.unit`, or None where the model has no such number of its own.
+    """
+    published = 0.0 if parameter.guessed else parameter.start
+    stood = before or dict.fromkeys(("value", "low", "high"), published)
+    return {"name": parameter.name, "unit": parameter.unit, "published": published, "before": stood, "after": after}
 
 
 def _numbers(fit: Fit) -> dict[str, dict[str, float]]:

@@ -8,6 +8,8 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
+from edream.core.parameters import Parameter
+from edream.diagnosis.evidence import usual_number
 from edream.diagnosis.set_up import how_to_record
 from edream.report.calibration import calibration_page
 from edream.report.diagnosis import diagnosis_page, next_motion
@@ -18,6 +20,15 @@ from edream.report.traces import Trace, worst_stretch
 
 HOSTILE = '"><script>alert(1)</script>--> $\\frac{ <img src=x onerror=alert(1)>'
 VOID = {"meta", "link", "img", "br", "hr", "input"}
+
+
+@pytest.mark.parametrize(("guessed", "stood"), [(True, 0.0), (False, 0.05)])
+def test_a_named_usual_number_stood_as_published_before_and_not_where_its_search_began(guessed: bool, stood: float) -> None:
+    rotor = Parameter("armature.inertia[lift]", "kg m^2", 0.0005, 1.0, 0.05, scale="log", guessed=guessed)
+    found = {"value": 0.2, "low": 0.19, "high": 0.21}
+    row = usual_number(rotor, None, found)
+    assert row["published"] == stood and row["before"] == {"value": stood, "low": stood, "high": stood} and row["after"] == found
+    assert usual_number(rotor, found, None)["before"] == found
 
 
 def traces_of(joints: tuple[str, ...] = ("lift", "turn"), motions: int = 4, seconds: float = 6.0) -> list[dict[str, Any]]:
