@@ -84,8 +84,9 @@ class Effect(ABC):
         of_position_servo: whether it acts on what a servo makes of a commanded position, and so not under torque or speed commands.
         special: a simpler effect that this one is where one of its quantities has a certain value: (effect, quantity, value).
         finer: the same effect with one number more, about as published, that only some motions tell.
-        mostly_positive: the quantity that is negative in few robots only, such as a mass that is missing, or None. Of two places
-            that motions do not tell apart, one where it is positive is named first.
+        mostly_positive: the quantity that is negative in few robots only, such as a mass that is missing, or None. Of two answers
+            that motions do not tell apart, one where it is positive is named first; where it is negative it explains no strange
+            numbers.
     """
 
     name: str

@@ -39,6 +39,7 @@ from edream.diagnosis.trials import (
     beside,
     fresh_columns,
     gone_on,
+    is_usual,
     judged,
     of_joints,
     on_few,
@@ -242,17 +243,10 @@ def simplest(problem: Problem, passing: Sequence[Trial]) -> Trial | None:
         return None
     special = load("effects", best.candidate.effect, Effect).special
     plain = Candidate(special[0], best.candidate.targets) if special else None
-    usual = [t for t in passing if t.candidate.effect == best.candidate.effect and is_usual(problem, t)]
-    plainer = [t for t in passing if t.candidate == plain] + ([] if is_usual(problem, best) else usual)
+    usual = [] if is_usual(problem, best) else [t for t in passing if is_usual(problem, t)]
+    plainer = [t for t in passing if t.candidate == plain] + usual
     same = next((t for t in plainer if t.closed >= AS_WELL * best.closed), None)
     return best if same is None or told_apart(problem, same, best) else same
-
-
-def is_usual(problem: Problem, trial: Trial) -> bool:
-    """Whether the quantity that its effect has mostly positive is so (see `Effect.mostly_positive`)."""
-    place = placement(problem, trial.candidate)
-    quantity = place.effect.mostly_positive
-    return quantity is None or trial.fit.space.mapping(trial.fit.values)[place.full_name(quantity)] > 0.0
 
 
 def comes_down_to(problem: Problem, trial: Trial) -> Candidate | None:

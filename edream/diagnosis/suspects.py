@@ -14,7 +14,7 @@ from edream.diagnosis.left_out import left_out_errors
 from edream.diagnosis.problem import Problem, nuisance_placements
 from edream.diagnosis.screen import Scored, screen
 from edream.diagnosis.side_by_side import side_by_side
-from edream.diagnosis.trials import Trial, judged, placed_at, refit
+from edream.diagnosis.trials import Trial, is_usual, judged, placed_at, refit
 from edream.sim.simulation import SimulatedRobot
 
 EVIDENCE = 4.0  # by how much the cost (-2 log posterior) must fall
@@ -73,6 +73,7 @@ def find_suspects(
             if (relief := relief_by(believing, trial.fit)) > EVIDENCE
             and strange - strangeness(trial.fit, strange_names) > HOMEWARD * strange
             and np.sqrt(trial.errors.mean()) < AS_GOOD * np.sqrt(errors.mean())
+            and is_usual(problem, trial)  # a mass that is missing would make most numbers ordinary, and few robots lack one
         ]
 
     likely = one_each(problem, screen(problem, believing, done), joints)[:REFITTED]

@@ -331,6 +331,13 @@ def judged(problem: Problem, fit: Fit, errors: Float[np.ndarray, "M"], scored: S
     return Trial(scored.candidate, scored.share, fit, left, float(gain.mean()) / gap, low > 0.0)
 
 
+def is_usual(problem: Problem, trial: Trial) -> bool:
+    """Whether the quantity that its effect has mostly positive is so (see `Effect.mostly_positive`)."""
+    place = placement(problem, trial.candidate)
+    quantity = place.effect.mostly_positive
+    return quantity is None or trial.fit.space.mapping(trial.fit.values)[place.full_name(quantity)] > 0.0
+
+
 def with_column(fit: Fit, extended: Objective, start: Float[np.ndarray, "P"], fresh: Bool[np.ndarray, "P"] | None = None) -> Fit:
     """The fit at a larger model's starting point: columns in `fresh`, the candidate's at least, are differenced, others kept."""
     space = extended.simulated.space

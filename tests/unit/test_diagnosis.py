@@ -90,7 +90,8 @@ def test_a_mass_that_is_missing_goes_before_one_that_is_too_much_where_motions_t
     assert simplest(problem, [less, more]) is more and simplest(problem, [more, less]) is more
     assert simplest(problem, [less, replace(more, closed=0.5)]) is less
     assert simplest(problem, [less, replace(more, errors=2.0 * more.errors)]) is less
-    assert simplest(problem, [less, replace(more, candidate=Candidate("spring", ("tilt",)))]) is less
+    spring = replace(more, candidate=Candidate("spring", ("tilt",)))
+    assert simplest(problem, [less, spring]) is spring and simplest(problem, [more, spring]) is more
 
 
 def test_an_effect_that_comes_down_to_its_special_case_gives_way_to_it(problem: Problem, fit: Fit) -> None:
