@@ -84,9 +84,6 @@ class Effect(ABC):
         of_position_servo: whether it acts on what a servo makes of a commanded position, and so not under torque or speed commands.
         special: a simpler effect that this one is where one of its quantities has a certain value: (effect, quantity, value).
         finer: the same effect with one number more, about as published, that only some motions tell.
-        mostly_positive: the quantity that is negative in few robots only, such as a mass that is missing, or None. Of two answers
-            that motions do not tell apart, one where it is positive is named first; where it is negative it explains no strange
-            numbers.
     """
 
     name: str
@@ -101,7 +98,6 @@ class Effect(ABC):
     of_type: bool = True
     of_position_servo: bool = False
     special: tuple[str, str, float] | None = None
-    mostly_positive: str | None = None
     finer: "Effect | None" = None
 
     @abstractmethod
@@ -124,6 +120,13 @@ class Effect(ABC):
     def scan(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[dict[str, float], ...]:
         """Probes of an effect with a phase, close enough to each other that one of them is near whatever is true; in pairs, too."""
         return self.probes(model, targets)
+
+    def is_usual(self, values: Mapping[str, float]) -> bool:
+        """Whether robots have it so: a gear off by a thousandth or a mass that is missing is met in few.
+
+        Of two answers that motions do not tell apart a usual one is named first, and only such ones explain strange numbers.
+        """
+        return True
 
     def edit(self, spec: mujoco.MjSpec, target: str) -> None:  # noqa: B027 - most effects need no structure
         """Add the structure that `write` fills, once, before compilation, for one target."""

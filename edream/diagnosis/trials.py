@@ -332,10 +332,10 @@ def judged(problem: Problem, fit: Fit, errors: Float[np.ndarray, "M"], scored: S
 
 
 def is_usual(problem: Problem, trial: Trial) -> bool:
-    """Whether the quantity that its effect has mostly positive is so (see `Effect.mostly_positive`)."""
-    place = placement(problem, trial.candidate)
-    quantity = place.effect.mostly_positive
-    return quantity is None or trial.fit.space.mapping(trial.fit.values)[place.full_name(quantity)] > 0.0
+    """Whether robots have the effect as it was fitted (see `Effect.is_usual`)."""
+    place, found = placement(problem, trial.candidate), trial.fit.space.mapping(trial.fit.values)
+    names = [p.name for p in place.effect.parameters(problem.robot.model, place.targets)]
+    return place.effect.is_usual({name: found[place.full_name(name)] for name in names})
 
 
 def with_column(fit: Fit, extended: Objective, start: Float[np.ndarray, "P"], fresh: Bool[np.ndarray, "P"] | None = None) -> Fit:

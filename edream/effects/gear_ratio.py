@@ -1,6 +1,6 @@
 """A gear that is not the one in the model."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import mujoco
 import numpy as np
@@ -10,7 +10,7 @@ from edream.core.errors import EdreamError
 from edream.core.parameters import Parameter
 from edream.sim.servo import is_pid, read_by_sensors, servo
 
-FARTHEST = 0.4  # more or less than one
+FARTHEST, LEAST = 0.4, 0.01  # more or less than one; of what gears and units are usually off by
 
 
 class GearRatio(Effect):
@@ -37,6 +37,9 @@ class GearRatio(Effect):
 
     def probes(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[dict[str, float], ...]:
         return ({"ratio": 1.01, "encoder": 1.0}, {"ratio": 1.0, "encoder": 1.03}, {"ratio": 1.0, "encoder": 0.97})
+
+    def is_usual(self, values: Mapping[str, float]) -> bool:
+        return max(abs(values["ratio"] - 1.0), abs(values["encoder"] - 1.0)) >= LEAST
 
     def edit(self, spec: mujoco.MjSpec, target: str) -> None:
         read_by_sensors(spec)

@@ -1,6 +1,6 @@
 """A mass that the model does not have."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import mujoco
 import numpy as np
@@ -30,7 +30,6 @@ class Payload(Effect):
     summary = "a payload"
     place = "body"
     confusable = ("servo_gain", "spring", "encoder_offset", "gravity_tilt", "constant_torque")
-    mostly_positive = "mass"
 
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
         body = model.body(targets[0]).id
@@ -53,6 +52,9 @@ class Payload(Effect):
         # where it hangs decides at which poses it pulls
         beside = [centre | {place.name: place.start + side * ASIDE} for place in places for side in (-1.0, 1.0)]
         return (centre, *beside)
+
+    def is_usual(self, values: Mapping[str, float]) -> bool:
+        return values["mass"] > 0.0
 
     def write(self, fields: Fields, target: str, values: Values) -> None:
         add_mass(fields, fields.model.body(target).id, values["mass"], np.stack([values[axis] for axis in "xyz"], axis=1))

@@ -90,8 +90,18 @@ def test_a_mass_that_is_missing_goes_before_one_that_is_too_much_where_motions_t
     assert simplest(problem, [less, more]) is more and simplest(problem, [more, less]) is more
     assert simplest(problem, [less, replace(more, closed=0.5)]) is less
     assert simplest(problem, [less, replace(more, errors=2.0 * more.errors)]) is less
-    spring = replace(more, candidate=Candidate("spring", ("tilt",)))
+    spring = _tried(problem, fit, Candidate("spring", ("tilt",)), {"stiffness": 0.1, "reference": 0.2}, 0.54)
     assert simplest(problem, [less, spring]) is spring and simplest(problem, [more, spring]) is more
+
+
+@pytest.mark.parametrize(("ratio", "first"), [(0.997, "spring"), (0.95, "gear_ratio")])
+def test_a_gear_off_by_a_thousandth_gives_way_to_what_motions_do_not_tell_from_it(
+    problem: Problem, fit: Fit, ratio: float, first: str
+) -> None:
+    gear = _tried(problem, fit, Candidate("gear_ratio", ("tilt",)), {"ratio": ratio, "encoder": 1.0006}, 0.56)
+    spring = _tried(problem, fit, Candidate("spring", ("tilt",)), {"stiffness": 0.1, "reference": 0.2}, 0.54)
+    found = simplest(problem, [gear, spring])
+    assert found is not None and found.candidate.effect == first
 
 
 def test_an_effect_that_comes_down_to_its_special_case_gives_way_to_it(problem: Problem, fit: Fit) -> None:
