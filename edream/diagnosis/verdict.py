@@ -1,7 +1,7 @@
 """From evidence to a sentence: named, none, cannot tell, or unnamed."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -20,7 +20,7 @@ from edream.diagnosis.problem import Problem, nuisance_placements
 from edream.diagnosis.remainder import Remainder, find_remainder
 from edream.diagnosis.steps import in_continuous_time
 from edream.diagnosis.suspects import ORDINARY, Suspect, find_suspects, most_ordinary, with_ordinary_numbers
-from edream.diagnosis.trials import Trial
+from edream.diagnosis.trials import Trial, judged
 from edream.sim.objective import rms
 from edream.sim.simulation import unit_at
 
@@ -106,7 +106,7 @@ def diagnose(problem: Problem, done: Callable[[str, int], object] = lambda text,
     taken = [one.taken for one in rounds if one.taken is not None]
     ladder += [(_label(t), np.sqrt(proof_errors(problem, t.fit))) for t in taken]
     fit, kept = backward(problem, fit, [t.candidate for t in taken], rounds[0].errors)
-    trials = [t for t in taken if t.candidate in kept]
+    trials, heard = left_alone(problem, fit, rounds, [t for t in taken if t.candidate in kept])
     left = left_out_errors(problem, fit) if trials else rounds[0].errors
     gap = max(rms(np.sqrt(rounds[0].errors)), rms(ladder[1][1])) / problem.floor
     short = falls_short(problem, rounds[0].errors, left) if trials else gap > REAL_GAP
@@ -120,13 +120,13 @@ def diagnose(problem: Problem, done: Callable[[str, int], object] = lambda text,
             strange = [placement(problem, Candidate(n.name, n.targets)).full_name(q) for n in numbers for q in n.values]
             suspects = find_suspects(problem, fit, strange, lambda n: done("looking behind strange numbers", n))
     ended = suspects[0].fit if suspects else fit  # what is named is what is written, with the ordinary numbers that it leaves
-    effects = [_named(problem, ended, t, rounds, trials) for t in trials]
+    effects = [_named(problem, ended, t, heard, trials) for t in trials]
     if suspects or not trials:  # beside a name, a strange number alone is that effect's own form, which no formula has exactly
         effects += with_suspects(problem, numbers, suspects)
     also = [Candidate(one.name, one.targets).label for one in effects[len(trials) :]]
     remainder = rounds[0].formula or unexplained(problem, before, fit, rounds[0].errors, left, trials)
     done("remainder", 1)
-    verdict, possible = judge(effects, remainder, short), contenders(fit, trials, effects, rounds, suspects)
+    verdict, possible = judge(effects, remainder, short), contenders(fit, trials, effects, heard, suspects)
     if remainder is not None:
         fit = remainder.fit
         effects = [one for one in effects if remainder.beside_names]
@@ -154,6 +154,21 @@ def diagnose(problem: Problem, done: Callable[[str, int], object] = lambda text,
         remainder=remainder,
         contenders=possible if verdict == "cannot_tell" else (),
     )
+
+
+def left_alone(
+    problem: Problem, fit: Fit, rounds: Sequence[Round], trials: Sequence[Trial]
+) -> tuple[Sequence[Trial], Sequence[Round]]:
+    """The effects that stayed, and the rounds that say what they were compared with.
+
+    One that is left alone, and stood beside another when it was taken, has all candidates of the first round for rivals.
+    """
+    first = rounds[0]
+    if len(trials) != 1 or first.taken is None or trials[0].candidate == first.taken.candidate:
+        return trials, rounds
+    own = judged(problem, fit, first.errors, trials[0])
+    others = [t for t in first.trials if t.candidate != own.candidate]
+    return [own], [replace(first, trials=sorted([own, *others], key=lambda t: -t.closed), taken=own)]
 
 
 def without_numbers(problem: Problem, fit: Fit, numbers: Sequence[Named], suspects: Sequence[Suspect]) -> Fit:

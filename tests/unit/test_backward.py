@@ -1,13 +1,16 @@
 """Which effects go out again once later ones are beside them."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from edream.diagnosis import backward as steps
-from edream.diagnosis import left_out
+from edream.diagnosis import left_out, verdict
 from edream.diagnosis.candidates import Candidate
+from edream.diagnosis.decide import Round
+from edream.diagnosis.trials import Trial
 
 PAYLOAD, FRICTION = Candidate("payload", ("forearm",)), Candidate("load_friction", ("lift",))
 
@@ -34,3 +37,25 @@ def test_an_earlier_effect_must_gain_what_is_asked_of_a_later_one(
     fit, names = steps.backward(problem, "both", [PAYLOAD, FRICTION], np.full(6, 10.0**2))  # type: ignore[arg-type]
     assert (fit, names) == (("both", [PAYLOAD, FRICTION]) if kept else ("friction alone", [FRICTION]))
     assert set(bare) <= {frozenset({"pan"})}
+
+
+@pytest.mark.parametrize("gone", [True, False])
+def test_what_is_left_alone_has_the_first_rounds_candidates_for_rivals(monkeypatch: pytest.MonkeyPatch, gone: bool) -> None:
+    """A gear was named without a doubt that had stood beside a coupling; alone it does no better than a payload."""
+
+    def trial(effect: str, closed: float) -> Trial:
+        return Trial(Candidate(effect, ("tilt",)), 0.1, SimpleNamespace(name=effect), np.zeros(4), closed, True)
+
+    coupling, payload, gear = trial("joint_coupling", 0.8), trial("payload", 0.7), trial("gear_ratio", 0.2)
+    first = Round(SimpleNamespace(), np.ones(4), [], [coupling, payload], coupling)
+    second = Round(SimpleNamespace(), np.ones(4), [], [gear], gear)
+    stayed = [gear] if gone else [coupling, gear]
+    monkeypatch.setattr(verdict, "judged", lambda problem, fit, errors, one: replace(one, closed=0.75, fit=fit))
+    trials, heard = verdict.left_alone(SimpleNamespace(), SimpleNamespace(name="ended"), [first, second], stayed)
+    if not gone:
+        assert (trials, heard) == (stayed, [first, second])
+        return
+    assert [(t.candidate.effect, t.closed, t.fit.name) for t in trials] == [("gear_ratio", 0.75, "ended")]
+    assert [(one.taken, [t.candidate.effect for t in one.trials]) for one in heard] == [
+        (trials[0], ["joint_coupling", "gear_ratio", "payload"])
+    ]
