@@ -44,6 +44,7 @@ from edream.diagnosis.trials import (
     judged,
     of_joints,
     on_few,
+    other_answers,
     placed_at,
     refitted,
     try_best,
@@ -208,7 +209,7 @@ def restarted(problem: Problem, errors: Float[np.ndarray, "M"], trials: Sequence
     if best is None or leaves_no_gap(problem, best.fit):
         return list(trials)
     bare = without(best.fit, best.candidate)
-    near = [t for t in trials if t is not best and t.sure and t.closed >= ALIKE * best.closed][:SHAPES]
+    near = other_answers(best, [t for t in trials if t.sure and t.closed >= ALIKE * best.closed])[:SHAPES]
     again = list(
         side_by_side(lambda t: judged(problem, beside(problem, bare, t.candidate), errors, t), near, problem.settings.threads)
     )

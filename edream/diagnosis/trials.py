@@ -331,6 +331,20 @@ def judged(problem: Problem, fit: Fit, errors: Float[np.ndarray, "M"], scored: S
     return Trial(scored.candidate, scored.share, fit, left, float(gain.mean()) / gap, low > 0.0)
 
 
+def is_another(one: Trial, other: Trial) -> bool:
+    """Whether two candidates are different answers: another effect, or the same on joints that do not overlap."""
+    return one.candidate.effect != other.candidate.effect or not set(one.candidate.targets) & set(other.candidate.targets)
+
+
+def other_answers(best: Trial, trials: Sequence[Trial]) -> list[Trial]:
+    """The trials that are other answers than the best and than each other, the first of each."""
+    found = [best]
+    for trial in trials:
+        if all(is_another(trial, one) for one in found):
+            found.append(trial)
+    return found[1:]
+
+
 def is_usual(problem: Problem, trial: Trial) -> bool:
     """Whether robots have the effect as it was fitted (see `Effect.is_usual`)."""
     place, found = placement(problem, trial.candidate), trial.fit.space.mapping(trial.fit.values)

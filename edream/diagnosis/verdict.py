@@ -20,7 +20,7 @@ from edream.diagnosis.problem import Problem, nuisance_placements
 from edream.diagnosis.remainder import Remainder, find_remainder
 from edream.diagnosis.steps import in_continuous_time
 from edream.diagnosis.suspects import ORDINARY, Suspect, find_suspects, most_ordinary, with_ordinary_numbers
-from edream.diagnosis.trials import Trial, judged
+from edream.diagnosis.trials import Trial, is_another, judged
 from edream.sim.objective import rms
 from edream.sim.simulation import unit_at
 
@@ -209,18 +209,13 @@ def _named(problem: Problem, fit: Fit, trial: Trial, rounds: Sequence[Round], ta
     alike = tuple(
         other.candidate.label
         for other, told in others
-        if not told and other.closed >= ALIKE * trial.closed and _different(other, trial)
+        if not told and other.closed >= ALIKE * trial.closed and is_another(other, trial)
     )
-    different = [other for other, _ in others if _different(other, trial)]
+    different = [other for other, _ in others if is_another(other, trial)]
     runner = (different[0].candidate.label, different[0].closed) if different else None
     values, intervals, units = numbers_of(problem, fit, trial.candidate)
     effect = load("effects", trial.candidate.effect, Effect)
     return Named(effect.name, effect.summary, trial.candidate.targets, values, intervals, units, trial.closed, runner, alike)
-
-
-def _different(one: Trial, other: Trial) -> bool:
-    """Whether two candidates are different answers: another effect, or the same on joints that do not overlap."""
-    return one.candidate.effect != other.candidate.effect or not set(one.candidate.targets) & set(other.candidate.targets)
 
 
 def numbers_of(

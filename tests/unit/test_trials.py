@@ -80,6 +80,30 @@ def test_twins_of_what_cannot_be_told_from_the_best_are_heard_too(
     assert [t.candidate.effect for t in found if t not in (best, rival)] == heard
 
 
+def test_rivals_begin_again_from_the_best_ones_numbers_once_for_each_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same effect on one joint less is no other answer; on another link it is."""
+
+    def on(effect: str, *targets: str) -> Trial:
+        return replace(_trial(effect, 0.9), candidate=Candidate(effect, targets))
+
+    best, less = on("load_friction", "a", "b", "c"), on("load_friction", "a", "b")
+    others = [
+        on("directional_efficiency", "a", "b", "c"),
+        on("directional_efficiency", "a"),
+        on("payload", "x"),
+        on("payload", "y"),
+    ]
+    begun: list[Candidate] = []
+    monkeypatch.setattr(decide, "passes", lambda problem, trial: True)
+    monkeypatch.setattr(decide, "leaves_no_gap", lambda problem, fit: False)
+    monkeypatch.setattr(decide, "without", lambda fit, candidate: fit)
+    monkeypatch.setattr(decide, "beside", lambda problem, bare, candidate: begun.append(candidate))
+    monkeypatch.setattr(decide, "judged", lambda problem, fit, errors, trial: replace(trial, closed=0.95))
+    found = decide.restarted(SimpleNamespace(settings=SimpleNamespace(threads=1)), np.zeros(4), [best, less, *others])
+    assert begun == [others[0].candidate, others[2].candidate, others[3].candidate]
+    assert [t.candidate for t in found[:3]] == begun and found[3] is best
+
+
 @pytest.mark.parametrize(("effect", "heard"), [("payload", ["wrist"]), ("spring", ["wrist"]), ("cogging", [])])
 def test_of_effects_on_links_the_outermost_link_is_heard_too(
     monkeypatch: pytest.MonkeyPatch, effect: str, heard: list[str]
