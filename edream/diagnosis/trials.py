@@ -333,7 +333,8 @@ def judged(problem: Problem, fit: Fit, errors: Float[np.ndarray, "M"], scored: S
 
 def is_another(one: Trial, other: Trial) -> bool:
     """Whether two candidates are different answers: another effect, or the same on joints that do not overlap."""
-    return one.candidate.effect != other.candidate.effect or not set(one.candidate.targets) & set(other.candidate.targets)
+    mine, others = one.candidate, other.candidate
+    return mine != others and (mine.effect != others.effect or not set(mine.targets) & set(others.targets))
 
 
 def other_answers(best: Trial, trials: Sequence[Trial]) -> list[Trial]:

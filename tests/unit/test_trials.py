@@ -102,6 +102,8 @@ def test_rivals_begin_again_from_the_best_ones_numbers_once_for_each_answer(monk
     found = decide.restarted(SimpleNamespace(settings=SimpleNamespace(threads=1)), np.zeros(4), [best, less, *others])
     assert begun == [others[0].candidate, others[2].candidate, others[3].candidate]
     assert [t.candidate for t in found[:3]] == begun and found[3] is best
+    tilted = on("gravity_tilt")  # which has no target
+    assert trials.other_answers(tilted, [tilted, best]) == [best]
 
 
 @pytest.mark.parametrize(("effect", "heard"), [("payload", ["wrist"]), ("spring", ["wrist"]), ("cogging", [])])
