@@ -110,12 +110,13 @@ policy-physics-%: .venv/ready
 	$(call demonstrated,$*,$(TABLE)/$*-hiding,record.truth=$(ROBOT).truth.json)
 	$(LEARN) $(call BY_STATE,$(TABLE)/$*-hiding) task=$* $(call BESIDE,$(TABLE)/$*-hiding) $(ON_MOTIONS) evaluate.films=0 evaluate.starts=$(STARTS) 'evaluate.of=$(PHYSICS)' run=policy-physics-$*
 
-# A task of the table once more, by sight, with RL in the calibrated simulator and in the one that diagnosis finds on free motions of the same
-# robot: make policy-diagnosed-put_remote_in_box SEED=2 TABLE=runs/policy-table-2.
+# A task of the table once more, by sight: SFT with twins, and RL, in the calibrated simulator and in the one that diagnosis finds on free motions
+# of the same robot: make policy-diagnosed-put_remote_in_box SEED=2 TABLE=runs/policy-table-2.
+DIAGNOSED := ["sft","rl","sft rollouts.model=diagnose","rl rollouts.model=diagnose"]
 policy-diagnosed-%: .venv/ready
 	$(call demonstrated,$*,$(TABLE)/$*,$(VIEWS))
 	test -f $(TABLE)/$*-motions.truth.json || { rm -rf $(TABLE)/$*-motions; $(RUN)/edream record robot=arm6 record.truth=$(TABLE)/$*.truth.json record.out=$(TABLE)/$*-motions seed=$(SEED); }
-	$(LEARN) $(BY_SIGHT) task=$* $(call BESIDE,$(TABLE)/$*) 'rollouts.physics="data=$(TABLE)/$*-motions ingest.fps=50"' 'evaluate.of=["sft","rl","rl rollouts.model=diagnose"]' run=policy-diagnosed-$*
+	$(LEARN) $(BY_SIGHT) task=$* $(call BESIDE,$(TABLE)/$*) 'rollouts.physics="data=$(TABLE)/$*-motions ingest.fps=50"' 'evaluate.of=$(DIAGNOSED)' run=policy-diagnosed-$*
 
 bench-dream: .venv/ready
 	$(RUN)/python -m benchmarks.bench_dream
