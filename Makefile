@@ -92,7 +92,10 @@ VIEWS := 'record.cell.cameras=[cam_high,cam_side,wrist]'
 HIDES := 'record.effects=[gear_ratio,gear_ratio,load_friction,actuator_delay]' 'record.at=[joint2,joint3]'
 ROBOT := $(TABLE)/grab_paper_cup-hiding
 MOVED := $(TABLE)/hiding-motions
-ON_MOTIONS := 'rollouts.physics="data=$(MOVED) ingest.fps=50"'
+ON_MOTIONS = 'rollouts.physics="data=$(1) ingest.fps=50"'
+define moved  # the truth of a robot, folder of its free motions
+	test -f $(2).truth.json || { rm -rf $(2); $(RUN)/edream record robot=arm6 record.truth=$(1) record.out=$(2) seed=$(SEED); }
+endef
 BESIDE = data=$(1) camera.file=$(1).cameras.json rollouts.plate=$(1).plate.png render.scene=$(1).scene.json
 policy-table: $(TASKS:%=policy-table-%)
 	$(RUN)/edream report --whole policy-table runs=$(TABLE)/runs
@@ -106,17 +109,17 @@ policy-physics: $(TASKS:%=policy-physics-%)
 
 policy-physics-%: .venv/ready
 	$(call demonstrated,grab_paper_cup,$(ROBOT),$(HIDES))
-	test -f $(MOVED).truth.json || { rm -rf $(MOVED); $(RUN)/edream record robot=arm6 record.truth=$(ROBOT).truth.json record.out=$(MOVED) seed=$(SEED); }
+	$(call moved,$(ROBOT).truth.json,$(MOVED))
 	$(call demonstrated,$*,$(TABLE)/$*-hiding,record.truth=$(ROBOT).truth.json)
-	$(LEARN) $(call BY_STATE,$(TABLE)/$*-hiding) task=$* $(call BESIDE,$(TABLE)/$*-hiding) $(ON_MOTIONS) evaluate.films=0 evaluate.starts=$(STARTS) 'evaluate.of=$(PHYSICS)' run=policy-physics-$*
+	$(LEARN) $(call BY_STATE,$(TABLE)/$*-hiding) task=$* $(call BESIDE,$(TABLE)/$*-hiding) $(call ON_MOTIONS,$(MOVED)) evaluate.films=0 evaluate.starts=$(STARTS) 'evaluate.of=$(PHYSICS)' run=policy-physics-$*
 
 # A task of the table once more, by sight: SFT with twins, and RL, in the calibrated simulator and in the one that diagnosis finds on free motions
 # of the same robot: make policy-diagnosed-put_remote_in_box SEED=2 TABLE=runs/policy-table-2.
 DIAGNOSED := ["sft","rl","sft rollouts.model=diagnose","rl rollouts.model=diagnose"]
 policy-diagnosed-%: .venv/ready
 	$(call demonstrated,$*,$(TABLE)/$*,$(VIEWS))
-	test -f $(TABLE)/$*-motions.truth.json || { rm -rf $(TABLE)/$*-motions; $(RUN)/edream record robot=arm6 record.truth=$(TABLE)/$*.truth.json record.out=$(TABLE)/$*-motions seed=$(SEED); }
-	$(LEARN) $(BY_SIGHT) task=$* $(call BESIDE,$(TABLE)/$*) 'rollouts.physics="data=$(TABLE)/$*-motions ingest.fps=50"' 'evaluate.of=$(DIAGNOSED)' run=policy-diagnosed-$*
+	$(call moved,$(TABLE)/$*.truth.json,$(TABLE)/$*-motions)
+	$(LEARN) $(BY_SIGHT) task=$* $(call BESIDE,$(TABLE)/$*) $(call ON_MOTIONS,$(TABLE)/$*-motions) 'evaluate.of=$(DIAGNOSED)' run=policy-diagnosed-$*
 
 bench-dream: .venv/ready
 	$(RUN)/python -m benchmarks.bench_dream

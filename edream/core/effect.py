@@ -122,7 +122,7 @@ class Effect(ABC):
         return self.probes(model, targets)
 
     def is_usual(self, values: Mapping[str, float]) -> bool:
-        """Whether robots have it so: a gear off by a thousandth or a mass that is missing is met in few.
+        """Whether robots have it so, quantity -> value in its unit: a gear off by a thousandth or a negative payload is met in few.
 
         Of two answers that motions do not tell apart a usual one is named first, and only such ones explain strange numbers.
         """

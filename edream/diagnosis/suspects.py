@@ -73,7 +73,7 @@ def find_suspects(
             if (relief := relief_by(believing, trial.fit)) > EVIDENCE
             and strange - strangeness(trial.fit, strange_names) > HOMEWARD * strange
             and np.sqrt(trial.errors.mean()) < AS_GOOD * np.sqrt(errors.mean())
-            and is_usual(problem, trial)  # a mass that is missing would make most numbers ordinary, and few robots lack one
+            and is_usual(problem, trial)  # a negative payload would make most numbers ordinary, and is met in few robots
         ]
 
     likely = one_each(problem, screen(problem, believing, done), joints)[:REFITTED]

@@ -110,7 +110,7 @@ def test_rivals_begin_again_from_the_best_ones_numbers_once_for_each_answer(monk
 def test_of_effects_on_links_the_outermost_link_is_heard_too(
     monkeypatch: pytest.MonkeyPatch, effect: str, heard: list[str]
 ) -> None:
-    """The score test liked a mass missing from the upper arm; usual numbers had made up for most of what the wrist carries."""
+    """The score test liked a negative payload on the upper arm; usual numbers had made up for most of what the wrist carries."""
     fit, known = SimpleNamespace(rms=2.0), [SimpleNamespace(name="payload")] if effect == "spring" else []
     best = replace(_trial(effect, 0.9), fit=SimpleNamespace(rms=1.0))
     upper = replace(_trial("payload", 0.2), candidate=Candidate("payload", ("upper_arm",)))
