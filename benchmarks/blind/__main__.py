@@ -36,7 +36,7 @@ def main() -> None:
     for case in chosen:
         robot = robot_of(case.robot) if case.name in results else None
         if robot is not None:
-            row = scored(case, robot, given.out, results[case.name])
+            row = scored(case, robot, given.out, session, results[case.name])
             rows.append(row | {"baselines": results[case.name].get("baselines"), "version": results[case.name]["version"]})
     made = table(rows, len(chosen))
     (given.out / "table.json").write_text(json.dumps(made | {"cases": rows}, indent=1) + "\n", encoding="utf-8")

@@ -13,7 +13,8 @@ from time import monotonic
 from typing import Any
 
 from benchmarks.blind.cases import ROOT, Case, Session, record_again, record_case, robot_of
-from benchmarks.blind.score import is_resolved, score
+from benchmarks.blind.score import is_resolved, is_shown, score
+from benchmarks.blind.shown import shown
 from edream.core.errors import EdreamError
 from edream.reality.truth import unseal
 from edream.sim.robot import RobotModel
@@ -127,7 +128,7 @@ def run_cases(
         with path.open("a", encoding="utf-8") as file:
             file.write(json.dumps(line) + "\n")
         kept[case.name] = line
-        say(f"{case.name}: {summarise(case, robot, folder, line)}")
+        say(f"{case.name}: {summarise(scored(case, robot, folder, session, line), line)}")
 
     with ThreadPoolExecutor(jobs) as pool:
         list(pool.map(one, todo))
@@ -140,7 +141,7 @@ def _done(result: Mapping[str, Any] | None, baselines: bool, again: bool) -> boo
     return not again or result["verdict"] != "cannot_tell" or "again" in result
 
 
-def scored(case: Case, robot: RobotModel, folder: Path, result: Mapping[str, Any]) -> dict[str, Any]:
+def scored(case: Case, robot: RobotModel, folder: Path, session: Session, result: Mapping[str, Any]) -> dict[str, Any]:
     """Phase 3 for one case.
 
     Raises:
@@ -167,6 +168,8 @@ def scored(case: Case, robot: RobotModel, folder: Path, result: Mapping[str, Any
             "failed": result["failed"],
         }
     row = score(case, truth, robot.model, result)
+    if case.sort == "single":
+        row["shown_rad"] = shown(case, truth, robot, session, folder)
     if "again" in result and result["verdict"] == "cannot_tell":
         row["suggested"] = result["again"] is not None
     if result.get("again") is not None:
@@ -176,11 +179,11 @@ def scored(case: Case, robot: RobotModel, folder: Path, result: Mapping[str, Any
     return row
 
 
-def summarise(case: Case, robot: RobotModel, folder: Path, result: Mapping[str, Any]) -> str:
+def summarise(row: Mapping[str, Any], result: Mapping[str, Any]) -> str:
     """One line about a finished case."""
-    row = scored(case, robot, folder, result)
     if row["verdict"] == "failed":
         return f"FAILED {row['failed'].splitlines()[-1] if row['failed'] else ''}"
+    faint = "" if is_shown(row) else ", which changes less than the noise"
     mark = "right" if row["right"] else "WRONG"
     hidden = ", ".join(row["hidden"]) or "nothing"
     lost = ", baselines FAILED" if "baselines_failed" in result else ""
@@ -189,7 +192,7 @@ def summarise(case: Case, robot: RobotModel, folder: Path, result: Mapping[str, 
         then = row["again"]
         said = "failed" if then is None else f"{then['verdict']} {', '.join(then['named'])}"
         more = f"; with the suggested motion {'resolved' if row['resolved'] else 'NOT resolved'}, {said}"
-    return f"{mark}, {row['verdict']} {', '.join(row['named'])} (hidden {hidden}), {row['seconds']:.0f} s{lost}{more}"
+    return f"{mark}, {row['verdict']} {', '.join(row['named'])} (hidden {hidden}{faint}), {row['seconds']:.0f} s{lost}{more}"
 
 
 def version() -> str:

@@ -65,6 +65,11 @@ def is_resolved(row: Mapping[str, Any]) -> bool:
     return row["verdict"] == "named" and set(row.get("found", [])) == {"named"} and not row["extra"]
 
 
+def is_shown(row: Mapping[str, Any]) -> bool:
+    """Whether what is hidden changes the motion by more than the encoder's noise, so that anybody could see it."""
+    return "shown_rad" not in row or row["shown_rad"] > row["gap"]["noise_floor_rad"]
+
+
 def closed(gap: Mapping[str, float]) -> float | None:
     """Share of the gap above the noise floor that is closed on motions never fitted; None where there was no gap."""
     opened = gap["before_rad"] - gap["noise_floor_rad"]

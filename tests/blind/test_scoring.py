@@ -10,7 +10,7 @@ from benchmarks.blind import runner
 from benchmarks.blind.cases import PAIRS, SITES, SORTS, Case, Session, cases, drawn, robot_of
 from benchmarks.blind.names import OTHER_NAME, SAME_NAME, is_usual, library_name, true_values
 from benchmarks.blind.runner import finished
-from benchmarks.blind.score import is_resolved, score
+from benchmarks.blind.score import is_resolved, is_shown, score
 from benchmarks.blind.table import markdown, table
 from edream import catalog
 from edream.core.errors import EdreamError
@@ -178,7 +178,25 @@ def test_a_case_that_failed_counts_as_wrong_in_the_table(tmp_path: Path) -> None
     case = Case("pan_tilt", ("actuator_delay",), 0, "single")
     (tmp_path / "truth").mkdir()
     seal(DELAY, tmp_path / "truth" / f"{case.code}.json")
-    rows = [runner.scored(case, ROBOT, tmp_path, {"failed": "more than 1800 s"}), scored([effect("actuator_delay", "tilt")])]
+    failed = runner.scored(case, ROBOT, tmp_path, Session(), {"failed": "more than 1800 s"})
+    rows = [failed, scored([effect("actuator_delay", "tilt")])]
     made = table(rows, 2)
     assert made["single_right"] == made["single_visible_right"] == [1, 2]
     assert "| actuator_delay[tilt] | failed |" in markdown(made, rows)
+
+
+def test_a_torque_limit_that_no_motion_reaches_changes_less_than_noise_and_is_counted_apart(tmp_path: Path) -> None:
+    assert ROBOT is not None
+    (tmp_path / "truth").mkdir()
+    short, rows = Session(motions=2, seconds=2.0), []
+    for seed, limit in enumerate((1000.0, 0.3)):
+        truth = Truth("pan_tilt", (Hidden("torque_saturation", ("tilt",), {"torque": limit}),))
+        case = Case("pan_tilt", ("torque_saturation",), seed, "single")
+        seal(truth, tmp_path / "truth" / f"{case.code}.json")
+        result = {"verdict": "none", "effects": [], "gap": GAP, "seconds": 10.0}
+        rows.append(runner.scored(case, ROBOT, tmp_path, short, result))
+        assert runner.scored(case, ROBOT, tmp_path, short, result) == rows[-1]
+    assert [is_shown(row) for row in rows] == [False, True]
+    made = table(rows, 2)
+    assert made["single_right"] == [0, 2] and made["single_shown_right"] == [0, 1]
+    assert "which changes less than the noise" in runner.summarise(rows[0], {}) and "WRONG" in runner.summarise(rows[0], {})

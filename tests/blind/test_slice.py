@@ -21,7 +21,7 @@ def outcome(case: Case, folder: Path) -> dict[str, Any]:
     assert robot is not None
     result = run_case(case, robot, folder, SHORT)
     assert "failed" not in result, result
-    return scored(case, robot, folder, result)
+    return scored(case, robot, folder, SHORT, result)
 
 
 @pytest.mark.parametrize("effect", ["stribeck", pytest.param("payload", marks=pytest.mark.slow), "actuator_delay"])
