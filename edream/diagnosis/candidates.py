@@ -116,6 +116,23 @@ def carried_by(problem: Problem, candidate: Candidate) -> frozenset[str]:
     return frozenset(joint for joint in problem.joints if int(model.jnt_bodyid[model.joint(joint).id]) in above)
 
 
+def next_to(problem: Problem, candidate: Candidate) -> list[Candidate]:
+    """A candidate on the links before and behind those that it acts on; nothing where it acts on no links."""
+    if load("effects", candidate.effect, Effect).place != "body":
+        return []
+    model = problem.robot.model
+    links = {int(model.body(link).id): link for link in moving_bodies(problem)}
+    own = {int(model.body(target).id) for target in candidate.targets}
+
+    def before(body: int) -> int:
+        """The link that carries another one, across what is fixed between them; 0, the world, where none does."""
+        above = int(model.body_parentid[body])
+        return above if above in links or above == 0 else before(above)
+
+    near = {before(body) for body in own} | {body for body in links if before(body) in own}
+    return [Candidate(candidate.effect, (links[body],)) for body in sorted(near & links.keys() - own)]
+
+
 def loose_geoms(model: mujoco.MjModel) -> list[str]:
     """Named geoms of free bodies that can collide: objects that the robot may touch."""
     free = {int(model.jnt_bodyid[j]) for j in range(model.njnt) if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_FREE}

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from edream.catalog import load
 from edream.core.effect import Effect
 from edream.diagnosis.backward import without
-from edream.diagnosis.candidates import Candidate, acted_on, carried_by, confused_with, placement, untouched
+from edream.diagnosis.candidates import Candidate, acted_on, confused_with, placement, untouched
 from edream.diagnosis.descent import Fit, begin, descend, polish
 from edream.diagnosis.left_out import (
     HALF,
@@ -30,7 +30,7 @@ from edream.diagnosis.rough import rough_candidates, searched
 from edream.diagnosis.screen import Scored, extend, screen
 from edream.diagnosis.side_by_side import side_by_side
 from edream.diagnosis.steps import with_short_steps
-from edream.diagnosis.suspects import at_the_end
+from edream.diagnosis.suspects import elsewhere
 from edream.diagnosis.trials import (
     HOPELESS,
     SHAPED,
@@ -298,7 +298,7 @@ def with_confusable(
 
     Nor a twin of theirs: what is heard may be one more that cannot be told from the best.
     """
-    found, asked = list(trials), set[str]()
+    found, asked = list(trials), set[tuple[str, tuple[str, ...]]]()
     for _ in range(GENERATIONS):
         best = next((t for t in found if passes(problem, t)), None)
         if best is None:
@@ -307,10 +307,11 @@ def with_confusable(
         own = [effect for one in near if (effect := load("effects", one.candidate.effect, Effect)).place == "body"]
         known = {effect.name: effect for effect in own}  # on another link than the one that it was tried on
         known |= {effect.name: effect for one in near for effect in confused_with(problem, one.candidate.effect)}
-        more = heard(problem, fit, errors, scored, found, best, [known[name] for name in known if name not in asked], done)
+        asking = {(one.name, best.candidate.targets if one.place == "body" else ()): one for one in known.values()}
+        more = heard(problem, fit, errors, scored, found, best, [asking[one] for one in asking if one not in asked], done)
         if not more:
             break
-        asked |= set(known)
+        asked |= set(asking)
         found = sorted([*found, *more], key=lambda t: -t.closed)
     return found
 
@@ -328,15 +329,14 @@ def heard(
     """Effects that have not been tried where the best trial acts, refitted there.
 
     Each is heard where the best one acts; where it can't act there, at the place that the score test likes best; on links, at the
-    outermost one in any case, where a robot carries what it carries.
+    outermost one in any case, where a robot carries what it carries, and at those next to the best one's.
     """
     places = [*scored, *placed_at(problem, fit, best.candidate.targets, known)]
     places.sort(key=lambda s: s.candidate.targets != best.candidate.targets)  # the score test's order otherwise
     chosen = {s.candidate.effect: s for s in reversed(places) if s.candidate.effect in [one.name for one in known]}
-    joints = acted_on(best.candidate) | carried_by(problem, best.candidate)
-    ends = [s for s in at_the_end(problem, fit, joints) if s.candidate.effect in chosen]
+    others = [s for s in elsewhere(problem, fit, best.candidate) if s.candidate.effect in chosen]
     tried = [t.candidate for t in trials]
-    twins = list({s.candidate: s for s in (*chosen.values(), *ends) if s.candidate not in tried}.values())
+    twins = list({s.candidate: s for s in (*chosen.values(), *others) if s.candidate not in tried}.values())
     few, most = on_few(problem, fit), 1.0 - (best.fit.rms / fit.rms) ** 2
 
     def refitted_there(one: Scored) -> Trial | None:

@@ -4,11 +4,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from jaxtyping import Float
 
 from edream.catalog import load
 from edream.core.effect import Effect
 from edream.core.parameters import targets_in
-from edream.diagnosis.candidates import Candidate, acted_on, carried_by, confused_with, library, rounds
+from edream.diagnosis.backward import backward
+from edream.diagnosis.candidates import Candidate, acted_on, carried_by, confused_with, library, next_to, rounds
 from edream.diagnosis.descent import Fit, begin, cost, descend, polish
 from edream.diagnosis.left_out import left_out_errors
 from edream.diagnosis.problem import Problem, nuisance_placements
@@ -88,6 +90,18 @@ def find_suspects(
     return sorted(found, key=lambda s: -s.relief)
 
 
+def what_stays(
+    problem: Problem, trials: Sequence[Trial], suspects: Sequence[Suspect], first: Float[np.ndarray, "M"]
+) -> tuple[list[Suspect], list[Trial]]:
+    """What was found behind strange numbers, the best fitted beside those named effects alone that it leaves to explain; and these.
+
+    `first` are the errors of motions left out [rad^2], (M,), with nothing named.
+    """
+    best, *others = suspects
+    fit, kept = backward(problem, best.fit, [*(t.candidate for t in trials), best.candidate], first)
+    return [replace(best, fit=fit), *others], [t for t in trials if t.candidate in kept]
+
+
 def refitted_at_home(
     problem: Problem, believing: Fit, errors: np.ndarray, likely: Sequence[Scored], done: Callable[[int], object]
 ) -> list[Trial]:
@@ -124,6 +138,13 @@ def at_the_end(problem: Problem, fit: Fit, joints: frozenset[str]) -> list[Score
         if places := on_links(problem, joints, effect):
             out += placed_at(problem, fit, max(places, key=lambda c: len(carried_by(problem, c))).targets, [effect])
     return out
+
+
+def elsewhere(problem: Problem, fit: Fit, best: Candidate) -> list[Scored]:
+    """What may act on links, on the outermost that a candidate's joints carry; a candidate itself on the links next to its own."""
+    own = load("effects", best.effect, Effect)
+    near = [one for there in next_to(problem, best) for one in placed_at(problem, fit, there.targets, [own])]
+    return at_the_end(problem, fit, acted_on(best) | carried_by(problem, best)) + near
 
 
 def on_links(problem: Problem, joints: frozenset[str], effect: Effect) -> list[Candidate]:

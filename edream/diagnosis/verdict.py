@@ -19,7 +19,7 @@ from edream.diagnosis.nuisance import fit_nuisance, published, with_shares
 from edream.diagnosis.problem import Problem, nuisance_placements
 from edream.diagnosis.remainder import Remainder, find_remainder
 from edream.diagnosis.steps import in_continuous_time
-from edream.diagnosis.suspects import ORDINARY, Suspect, find_suspects, most_ordinary, with_ordinary_numbers
+from edream.diagnosis.suspects import ORDINARY, Suspect, find_suspects, most_ordinary, what_stays, with_ordinary_numbers
 from edream.diagnosis.trials import Trial, is_another, judged
 from edream.sim.objective import rms
 from edream.sim.simulation import unit_at
@@ -119,6 +119,9 @@ def diagnose(problem: Problem, done: Callable[[str, int], object] = lambda text,
         if numbers := off_nominal(problem, fit):
             strange = [placement(problem, Candidate(n.name, n.targets)).full_name(q) for n in numbers for q in n.values]
             suspects = find_suspects(problem, fit, strange, lambda n: done("looking behind strange numbers", n))
+        if suspects and trials:
+            suspects, trials = what_stays(problem, trials, suspects, rounds[0].errors)
+            fit = fit if trials else before
     ended = suspects[0].fit if suspects else fit  # what is named is what is written, with the ordinary numbers that it leaves
     effects = [_named(problem, ended, t, heard, trials) for t in trials]
     if suspects or not trials:  # beside a name, a strange number alone is that effect's own form, which no formula has exactly

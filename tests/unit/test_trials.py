@@ -28,8 +28,7 @@ def _refits_to(monkeypatch: pytest.MonkeyPatch, end: Trial) -> None:
     told = {
         "on_few": lambda problem, fit: fit,
         "placed_at": lambda problem, fit, targets, known: [Scored(Candidate(e.name, targets), {}, 0.0) for e in known],
-        "carried_by": lambda problem, candidate: frozenset(),
-        "at_the_end": lambda problem, fit, joints: [],
+        "elsewhere": lambda problem, fit, best: [],
         "refitted": lambda problem, fit, one, iterations, joints: SimpleNamespace(rms=1.0, objective=None),
         "fresh_columns": lambda fit, objective: np.ones(1, bool),
         "of_joints": lambda objective, joints: np.ones(1, bool),
@@ -49,7 +48,7 @@ def test_what_the_best_one_is_confused_with_is_heard_where_that_one_acts(
     fit = SimpleNamespace(rms=2.0)
     best = replace(_trial("torque_speed_limit", 0.9), fit=SimpleNamespace(rms=1.0))
     drag = replace(_trial("quadratic_drag", 0.1), candidate=Candidate("quadratic_drag", (tried,)))
-    effects = [SimpleNamespace(name=name, confusable=()) for name in ("quadratic_drag", "payload")]
+    effects = [SimpleNamespace(name=name, confusable=(), place="joint") for name in ("quadratic_drag", "payload")]
     monkeypatch.setattr(candidates, "library", lambda problem: effects)
     monkeypatch.setattr(decide, "passes", lambda problem, t: t.closed > 0.5)
     monkeypatch.setattr(decide, "told_apart", lambda problem, worse, better: True)
@@ -69,7 +68,7 @@ def test_twins_of_what_cannot_be_told_from_the_best_are_heard_too(
     fit = SimpleNamespace(rms=2.0)
     both = _trial("spring", 0.9), _trial("directional_efficiency", 0.8)
     best, rival = (replace(one, fit=SimpleNamespace(rms=1.0)) for one in both)
-    friction, sliding, far = (SimpleNamespace(name=name) for name in ("load_friction", "presliding", "coulomb"))
+    friction, sliding, far = (SimpleNamespace(name=name, place="joint") for name in ("load_friction", "presliding", "coulomb"))
     known = {"spring": [], "directional_efficiency": [friction], "load_friction": [friction, sliding], "presliding": [far]}
     monkeypatch.setattr(decide, "confused_with", lambda problem, effect: known[effect])
     monkeypatch.setattr(decide, "passes", lambda problem, trial: True)
@@ -111,7 +110,7 @@ def test_of_effects_on_links_the_outermost_link_is_heard_too(
     monkeypatch: pytest.MonkeyPatch, effect: str, heard: list[str]
 ) -> None:
     """The score test liked a negative payload on the upper arm; usual numbers had made up for most of what the wrist carries."""
-    fit, known = SimpleNamespace(rms=2.0), [SimpleNamespace(name="payload")] if effect == "spring" else []
+    fit, known = SimpleNamespace(rms=2.0), [SimpleNamespace(name="payload", place="body")] if effect == "spring" else []
     best = replace(_trial(effect, 0.9), fit=SimpleNamespace(rms=1.0))
     upper = replace(_trial("payload", 0.2), candidate=Candidate("payload", ("upper_arm",)))
     monkeypatch.setattr(decide, "confused_with", lambda problem, effect: known)
@@ -121,8 +120,8 @@ def test_of_effects_on_links_the_outermost_link_is_heard_too(
     monkeypatch.setattr(decide, "placed_at", lambda problem, fit, targets, known: [])
     monkeypatch.setattr(
         decide,
-        "at_the_end",
-        lambda problem, fit, joints: [Scored(Candidate(name, ("wrist",)), {}, 0.0) for name in ("payload", "hum")],
+        "elsewhere",
+        lambda problem, fit, best: [Scored(Candidate(name, ("wrist",)), {}, 0.0) for name in ("payload", "hum")],
     )
     scored = [Scored(upper.candidate, {}, 0.3), Scored(Candidate("payload", ("wrist",)), {}, 0.1)]
     problem = SimpleNamespace(settings=SimpleNamespace(threads=1))
