@@ -120,6 +120,8 @@ class World:
         self.slip = off(published if friction is None else np.where(self.turns, friction, 3.0))
         self.rotor = off(np.maximum(model.dof_armature[self.dof], armature))
         self.effect, where, numbers = (*effect.split(":"), "")[:3] if effect else ("", "", "")
+        if where and where not in self.names:
+            raise SystemExit(f"--effect {effect}: no actuator drives a joint {where!r}; what exists: {', '.join(self.names)}.")
         self.at = self.names.index(where) if where else -1
         self.numbers = [float(x) for x in numbers.split(",")] if numbers else []
         model.dof_armature[self.dof], model.dof_frictionloss[self.dof], model.dof_damping[self.dof] = self.rotor, 0.0, 0.0
