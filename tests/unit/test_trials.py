@@ -267,16 +267,17 @@ def test_strange_numbers_are_an_answer_only_where_nothing_is_left(
 
 
 @pytest.mark.parametrize(
-    ("strange", "floors", "behind", "expected", "named"),
+    ("strange", "floors", "behind", "stays", "expected", "named"),
     [
-        ("servo_gain", 1.0, True, "cannot_tell", ["stribeck", "spring"]),
-        ("servo_gain", 1.0, False, "named", ["stribeck"]),
-        ("servo_gain", 2.0, True, "named", ["stribeck"]),
-        ("armature", 1.0, True, "named", ["stribeck"]),
+        ("servo_gain", 1.0, True, True, "cannot_tell", ["stribeck", "spring"]),
+        ("servo_gain", 1.0, True, False, "cannot_tell", ["spring"]),  # which explains what had been named
+        ("servo_gain", 1.0, False, True, "named", ["stribeck"]),
+        ("servo_gain", 2.0, True, True, "named", ["stribeck"]),
+        ("armature", 1.0, True, True, "named", ["stribeck"]),
     ],
 )
 def test_behind_numbers_that_are_strange_beside_a_name_another_effect_is_looked_for(
-    monkeypatch: pytest.MonkeyPatch, strange: str, floors: float, behind: bool, expected: str, named: list[str]
+    monkeypatch: pytest.MonkeyPatch, strange: str, floors: float, behind: bool, stays: bool, expected: str, named: list[str]
 ) -> None:
     """A strange number with nothing behind it is no finding there, beside a real gap it has made up for that, and a rotor that is
     strange alone hides nothing."""
@@ -291,14 +292,16 @@ def test_behind_numbers_that_are_strange_beside_a_name_another_effect_is_looked_
         "forward": lambda problem, fit, done: (problem, taken.fit, rounds),
         "backward": lambda problem, fit, candidates, first: (fit, candidates),
         "find_suspects": lambda problem, fit, strange, done: [spring] if behind else [],
+        "what_stays": lambda problem, trials, suspects, first: (suspects, trials if stays else []),
         "_named": lambda problem, fit, trial, rounds, trials: written.append(fit.name) or friction,
     }
     found = _diagnosed(monkeypatch, gain, told)
     assert found.verdict == expected and [one.name for one in found.effects] == named
-    both = len(named) > 1
-    assert [found.after.name] == written == ["with both" if both else "with stribeck"]  # type: ignore[attr-defined]
-    assert found.before.name == "usual"  # type: ignore[attr-defined]
-    assert [label for label, _ in found.contenders] == (["strange numbers", "spring[tilt]"] if both else [])
+    last = "spring" in named
+    assert found.after.name == ("with both" if last else "with stribeck")  # type: ignore[attr-defined]
+    assert written == ([found.after.name] if stays else [])  # type: ignore[attr-defined]
+    assert found.before.name == ("usual" if stays else "without spring")  # type: ignore[attr-defined]
+    assert [label for label, _ in found.contenders] == (["strange numbers", "spring[tilt]"] if last else [])
 
 
 def test_beside_a_lag_the_numbers_of_its_joint_are_differenced_anew() -> None:
