@@ -1,7 +1,8 @@
 """Twins: every demonstration once more, as the simulator's eyes see it: measured robot, tracked things, photographed background.
 
 Where trials take place in a diagnosed simulator the robot stands where that one has it: an encoder that counts otherwise, or from
-another zero, puts it elsewhere than the published model. A fit changes no place, so its twins are those of the published robot.
+another zero, puts it elsewhere than the published model. A fit changes no place, so its twins are those of the published robot; and
+so are those of a diagnosis that puts no link elsewhere, to the last pixel, so that a policy learned from them is the same one.
 """
 
 from collections.abc import Mapping
@@ -20,6 +21,7 @@ from edream.practice.rehearsing import physics_need, physics_of, plate_of
 from edream.practice.sampling import demonstrations
 from edream.practice.twins import eye_of, twin_images
 from edream.sim.servo import places
+from edream.sim.standing import stand_alike
 from edream.vision.frames import resized
 from edream.vision.scene_file import read_scene
 
@@ -71,13 +73,15 @@ def run(inputs: Mapping[str, Artifact], config: TwinsConfig, work: Work) -> Bund
     tracks, photo = seen_beside(config)
     scene, plate = read_scene(tracks), plate_of(photo)
     robot = config.robot.load()
-    for need in config.rollouts.needs:
-        robot = replace(robot, mjcf=physics_of(robot, inputs[need], work.folder("hook")).mjcf)
     (name, camera), *_ = from_json(inputs["camera"]["cameras.json"], "cameras.json").items()
     episodes = list(stored_episodes(inputs["ingest"]))
     made, cameras, _ = demonstrations(episodes, robot.joints, config.policy, work.folder("images"))
     if cameras != (name,):
         raise EdreamError(f"sft.twins is for policies with the one camera {name!r}, not {', '.join(cameras) or 'none'}.")
+    for need in config.rollouts.needs:
+        diagnosed = replace(robot, mjcf=physics_of(robot, inputs[need], work.folder("hook")).mjcf)
+        readings = np.concatenate([one.joints for one in made])
+        robot = robot if stand_alike(robot, diagnosed, readings) else diagnosed
     eye = eye_of(robot, camera, scene, plate)
 
     def one(number: int, rng: np.random.Generator) -> Bundle:
@@ -116,4 +120,4 @@ def sources(config: TwinsConfig) -> Mapping[str, Source]:
     return {"robot": config.robot.content(), "scene": scene, "plate": plate}
 
 
-ENTRY = Stage("twins", 4, needs, TwinsConfig, run, sources, ("mujoco", "numpy"))
+ENTRY = Stage("twins", 5, needs, TwinsConfig, run, sources, ("mujoco", "numpy"))
