@@ -107,12 +107,11 @@ def record(robot: RobotModel, config: RecordConfig, seed: int = 0) -> dict[str, 
         if path.exists():
             raise EdreamError(f"There is already something at {path}; record.out must name a new folder.")
     form = catalog.load("formats", config.format, Format)
-    truth, motions = hidden_robot(robot, config, seed), np.random.SeedSequence(seed).spawn(2)[1]
+    truth, chance = hidden_robot(robot, config, seed), motion_seed(seed)
     noted = {"servo_gain": config.gain} if config.gain != 1.0 else {}
     noted |= {HAND_WEIGHT: config.weight} if config.weight else {}
     recorder = Recorder(config.rate, config.jitter, config.noise, config.counts, config.step, conditions=noted)
     filming = Filming(robot, config.look, seed) if config.video else None
-    chance = int(motions.generate_state(1)[0])
     plan = None if config.motion is None else read_motion(config.motion, robot, config.rate)
     body, point = hand_of(robot)
     moved = truth.at_gain(robot.model, config.gain).holding(robot.model.body(body).name, point, config.weight)
@@ -135,6 +134,11 @@ def record(robot: RobotModel, config: RecordConfig, seed: int = 0) -> dict[str, 
         "joints": list(robot.joints),
         **filmed,
     }
+
+
+def motion_seed(seed: int) -> int:
+    """The seed of the motions, noise and jitter of a recording session with this seed, apart from that of its truth."""
+    return int(np.random.SeedSequence(seed).spawn(2)[1].generate_state(1)[0])
 
 
 def hidden_robot(robot: RobotModel, config: RecordConfig, seed: int, task: bool = False) -> Truth:

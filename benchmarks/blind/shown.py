@@ -9,6 +9,7 @@ import numpy as np
 from benchmarks.blind.cases import Case, Session
 from edream.reality.recorder import Recorder, make_recordings
 from edream.reality.truth import Truth
+from edream.record import motion_seed
 from edream.sim.robot import RobotModel
 
 EXACT = Recorder(jitter=0.0, noise=0.0, counts=2**30)
@@ -21,7 +22,7 @@ def shown(case: Case, truth: Truth, robot: RobotModel, session: Session, folder:
     """
     kept = folder / "truth" / f"{case.code}.shown.json"
     if not kept.exists():
-        chance = int(np.random.SeedSequence(case.seed).spawn(2)[1].generate_state(1)[0])  # the motions that `record` draws
+        chance = motion_seed(case.seed)
         moved = [
             np.concatenate([one.position for one in make_recordings(robot, some, chance, session.motions, session.seconds, EXACT)])
             for some in (truth, replace(truth, effects=()))

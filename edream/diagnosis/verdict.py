@@ -121,7 +121,7 @@ def diagnose(problem: Problem, done: Callable[[str, int], object] = lambda text,
             suspects = find_suspects(problem, fit, strange, lambda n: done("looking behind strange numbers", n))
         if suspects and trials:
             suspects, trials = what_stays(problem, trials, suspects, rounds[0].errors)
-            fit = fit if trials else before
+            fit, numbers = (fit, numbers) if trials else (before, [])  # strange only beside what went out: no answer alone
     ended = suspects[0].fit if suspects else fit  # what is named is what is written, with the ordinary numbers that it leaves
     effects = [_named(problem, ended, t, heard, trials) for t in trials]
     if suspects or not trials:  # beside a name, a strange number alone is that effect's own form, which no formula has exactly
@@ -193,7 +193,8 @@ def contenders(
 ) -> list[tuple[str, Fit]]:
     """The models that remain possible where the last doubtful effect has rivals: its own and one for each rival."""
     if suspects:
-        return [("strange numbers", fit), *((s.candidate.label, s.fit) for s in suspects)]
+        strange = [("strange numbers", fit)] if trials or all(one.taken is None for one in rounds) else []
+        return [*strange, *((s.candidate.label, s.fit) for s in suspects)]
     for trial, named in reversed(list(zip(trials, effects, strict=False))):
         if named.confusable_with:
             own = next(r for r in rounds if r.taken is trial)

@@ -137,4 +137,4 @@ def summary(found: Diagnosis, bundle: Mapping[str, Any], more: str) -> dict[str,
     }
 
 
-ENTRY = Stage("diagnose", 69, ("ingest",), DiagnoseConfig, run, sources, ("mujoco", "numpy", "scipy"))
+ENTRY = Stage("diagnose", 70, ("ingest",), DiagnoseConfig, run, sources, ("mujoco", "numpy", "scipy"))
