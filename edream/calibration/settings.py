@@ -90,7 +90,8 @@ class SpaceSettings:
         fixed: parameter -> value that is held.
         limits: parameter -> bounds and prior. A name without its place, such as `coulomb.torque`, means every place.
         scaled: quantity, such as `servo_gain.kp` -> the condition that multiplies it.
-        joints: joints that count in the loss; empty for all.
+        joints: joints that count in the loss; empty for all but those that grip.
+        grips: joints that hold things, such as a gripper: fitted by themselves, where they hold nothing, and never counted.
         holdout: names (or parts before a `*`) of motions that are never tuned on; empty to draw them.
         holdout_fraction: share of the motions that is drawn where `holdout` is empty.
         until: seconds of each motion that count, or None for all.
@@ -102,6 +103,7 @@ class SpaceSettings:
     limits: Mapping[str, Limits] = field(default_factory=dict)
     scaled: Mapping[str, ScaledBy] = field(default_factory=dict)
     joints: tuple[str, ...] = ()
+    grips: tuple[str, ...] = ()
     holdout: tuple[str, ...] = ()
     holdout_fraction: float = 0.2
     until: float | None = None
@@ -121,7 +123,8 @@ def simulated_robot(robot: RobotModel, settings: SpaceSettings, recordings: Sequ
             conditions scale is not among the effects.
     """
     known_scalings = scalings(settings.scaled, recordings)
-    bare = [p for text in settings.effects for p in _placements(robot, text, settings.ties, settings.joints)]
+    counted = counting(robot, settings.joints, settings.grips)
+    bare = [p for text in settings.effects for p in _placements(robot, text, settings.ties, counted)]
     placements, met = [], set()
     for placement in bare:
         scaled, fixed, bounds = {}, {}, {}
@@ -180,8 +183,21 @@ def scored(robot: RobotModel, settings: SpaceSettings) -> np.ndarray:
     Raises:
         EdreamError: the robot has no such joint.
     """
-    chosen = [robot.joint_index(name) for name in settings.joints]
+    chosen = [robot.joint_index(name) for name in counting(robot, settings.joints, settings.grips)]
     return np.ones(len(robot.joints), bool) if not chosen else np.isin(np.arange(len(robot.joints)), chosen)
+
+
+def counting(robot: RobotModel, joints: Sequence[str], grips: Sequence[str]) -> tuple[str, ...]:
+    """Joints that count, empty for all: those named, or all but those that grip.
+
+    Raises:
+        EdreamError: one that grips is named to count, or the robot has no such joint.
+    """
+    for name in grips:
+        robot.joint_index(name)
+        if name in joints:
+            raise EdreamError(f"{name} is in robot.grips and in robot.scored; what a gripper holds must not count: leave one out.")
+    return tuple(joints) or (tuple(name for name in robot.joints if name not in grips) if grips else ())
 
 
 def _fit_start(parameter, bounds) -> None:

@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from edream import catalog
+from edream.calibration.gripping import with_numbers
 from edream.calibration.settings import SpaceSettings, simulated_robot
 from edream.core.bench import bench_of
 from edream.core.camera import from_json
@@ -150,7 +151,7 @@ def drawn_physics(
     Raises:
         EdreamError: the fit's parameters are not those of the config.
     """
-    simulated = simulated_robot(robot, settings)
+    simulated = simulated_robot(with_numbers(robot, made["summary.json"].get("grips", {})), settings)
     estimates = made["summary.json"]["parameters"]
     if set(estimates) != set(simulated.space.names):
         raise EdreamError("The fit's parameters are not those of fit.effects; calibrate with the same settings.")

@@ -14,6 +14,7 @@ from mujoco import batch
 
 from edream.core.errors import EdreamError
 from edream.sim.hook_file import hook_text
+from edream.sim.robot import RobotModel
 from edream.sim.simulation import SimulatedRobot, write_fields
 
 NUMBER = re.compile(r"(?<![\w.#])[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?(?![\w.])")
@@ -70,6 +71,7 @@ def emit(
     simulated: SimulatedRobot,
     values: Mapping[str, float] | Float[np.ndarray, "P"],
     conditions: Mapping[str, float] | None = None,
+    beside: RobotModel | None = None,
 ) -> EmittedModel:
     """Write a robot with effects as plain MJCF, every number with all its digits.
 
@@ -77,6 +79,7 @@ def emit(
         simulated: the robot and its effects.
         values: full parameter name -> value for every parameter of `simulated.space`, or the values in its order.
         conditions: known conditions to write it for; each at its reference where None.
+        beside: the robot that the difference is against; that of `simulated` where None.
 
     Raises:
         EdreamError: a value is missing, or a field that an effect writes has no place in an MJCF.
@@ -97,7 +100,7 @@ def emit(
         _transfer(spec, compiled, target, name)
     final = spec.compile()
     mjcf = _all_digits(spec.to_xml(), simulated.robot.mjcf, final)
-    published = simulated.robot.published
+    published = (beside or simulated.robot).published
     original = _all_digits(_compiled_xml(published.spec()), published.mjcf, published.model)
     lines = difflib.unified_diff(original.splitlines(), mjcf.splitlines(), "published", "with effects", lineterm="", n=2)
     return EmittedModel(mjcf, _beside(simulated.robot.assets), hook_text(simulated, numbers, final), "\n".join(lines) + "\n")

@@ -1,10 +1,11 @@
 """Diagnose: find where simulation and measurement disagree, name what is missing, add it, show that the gap shrinks."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
-from edream.calibration.settings import Limits, RobotSettings, ScaledBy, scalings
+from edream.calibration.gripping import gripping
+from edream.calibration.settings import Limits, RobotSettings, ScaledBy, counting, scalings
 from edream.core.effect import holds_position
 from edream.core.stage import Artifact, Bundle, Source, Stage, Work
 from edream.diagnosis.evidence import evidence
@@ -15,6 +16,7 @@ from edream.diagnosis.verdict import Diagnosis, diagnose
 from edream.ingest.episode_file import write_commands
 from edream.ingest.stored import stored_episodes
 from edream.sim.emit import emit
+from edream.sim.robot import RobotModel
 
 HOOK = "hook.py"
 CONDITIONS = "next_motion.json"  # what to set, and to note, each time that the next motion is recorded
@@ -31,6 +33,7 @@ class DiagnoseOptions:
     effects: tuple[str, ...] = ()
     ignored: tuple[str, ...] = ()
     joints: tuple[str, ...] = ()
+    grips: tuple[str, ...] = ()
     until: float | None = None
     seconds: float = 160.0
     proof: float = 0.25
@@ -58,11 +61,13 @@ def sources(config: DiagnoseConfig) -> Mapping[str, Source]:
 
 def run(inputs: Mapping[str, Artifact], config: DiagnoseConfig, work: Work) -> Bundle:
     """Diagnose the ingested motions against the robot's model."""
-    robot = config.robot.load()
-    problem = prepare(robot, list(stored_episodes(inputs["ingest"])), settings_of(config))
+    published = config.robot.load()
+    problem = prepare(published, list(stored_episodes(inputs["ingest"])), settings_of(config, published))
+    grip = gripping(problem.robot, config.diagnose.grips, [window.episode for window in problem.fitted])
+    problem = replace(problem, robot=grip.robot)
     with work.progress(None, "diagnosing") as bar:
         found = diagnose(problem, lambda text, n: bar.update(n))
-    made = emit(found.after.objective.simulated, found.after.values)
+    made = emit(found.after.objective.simulated, found.after.values, beside=published)
     bundle: dict[str, Any] = {**evidence(found), "model.xml": made.mjcf, **made.files, "difference.txt": made.difference}
     if made.hook:
         bundle[HOOK] = made.hook
@@ -70,7 +75,8 @@ def run(inputs: Mapping[str, Artifact], config: DiagnoseConfig, work: Work) -> B
     if doubted:
         motion = suggest(found.problem, [fit for _, fit in found.contenders], work.rng)
         bundle |= motion_files(motion, work) if motion is not None else {}
-    return bundle | {"summary.json": summary(found, bundle, advice(found, bundle) if doubted else "")}
+    told = summary(found, bundle, advice(found, bundle) if doubted else "")
+    return bundle | {"summary.json": told | ({"grips": grip.joints} if grip.joints else {})}
 
 
 def motion_files(motion: Motion, work: Work) -> Bundle:
@@ -80,9 +86,12 @@ def motion_files(motion: Motion, work: Work) -> Bundle:
     return {"next_motion.csv": motion.table(), "next_motion.mcap": path, CONDITIONS: [dict(one) for one in motion.conditions]}
 
 
-def settings_of(config: DiagnoseConfig) -> Settings:
+def settings_of(config: DiagnoseConfig, robot: RobotModel) -> Settings:
     """The diagnosis' own settings from the config."""
-    options = {key: value for key, value in vars(config.diagnose).items() if key not in ("next_motion", "scaled", "limits")}
+    options = {
+        key: value for key, value in vars(config.diagnose).items() if key not in ("next_motion", "scaled", "limits", "grips")
+    }
+    options["joints"] = counting(robot, config.diagnose.joints, config.diagnose.grips)
     limits = {name: {k: v for k, v in vars(one).items() if v is not None} for name, one in config.diagnose.limits.items()}
     return Settings(**options, scaled=scalings(config.diagnose.scaled), limits=limits, seed=config.seed)
 
@@ -137,4 +146,4 @@ def summary(found: Diagnosis, bundle: Mapping[str, Any], more: str) -> dict[str,
     }
 
 
-ENTRY = Stage("diagnose", 70, ("ingest",), DiagnoseConfig, run, sources, ("mujoco", "numpy", "scipy"))
+ENTRY = Stage("diagnose", 71, ("ingest",), DiagnoseConfig, run, sources, ("mujoco", "numpy", "scipy"))

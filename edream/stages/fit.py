@@ -10,6 +10,7 @@ import pyarrow as pa
 from edream import catalog
 from edream.calibration.data import sampling_stride, stretches
 from edream.calibration.errors import UNSTABLE, before_and_after, error_table, perfect_tracking, replayed
+from edream.calibration.gripping import gripping
 from edream.calibration.moves import check_moves
 from edream.calibration.pose_objective import PoseObjective
 from edream.calibration.problem import FitResult, Fitter, FitterOptions, Problem
@@ -82,7 +83,9 @@ def run(inputs: Mapping[str, Artifact], config: FitConfig, work: Work) -> Bundle
     """Split, search, judge, write."""
     settings = config.fit
     train, held = split_motions(list(stored_episodes(inputs["ingest"])), settings, config.seed)
-    simulated = simulated_robot(kept_clear(config.robot.load(), train), settings, (*train, *held))
+    published = kept_clear(config.robot.load(), train)
+    grip = gripping(published, settings.grips, train)
+    simulated = simulated_robot(grip.robot, settings, (*train, *held))
     space_of(simulated)
     counted = scored(simulated.robot, settings)
     objective = objective_of(simulated, train, settings, counted)
@@ -98,9 +101,11 @@ def run(inputs: Mapping[str, Artifact], config: FitConfig, work: Work) -> Bundle
     values, worth = judged(objective, np.array(result["values"]), settings.search.polish if entry.least_squares else 0)
     result = {**result, "simulations": result["simulations"] + objective.simulations - before}
     error = errors(simulated, values, train, held, counted, settings.until)
-    model = emit(simulated, values)
+    model = emit(simulated, values, beside=published)
     summary = _summary(worth, error, result, held, settings, inputs)
     bundle: dict[str, Any] = {MODEL: model.mjcf, **model.files}
+    if grip.joints:
+        summary["grips"] = grip.joints
     if model.hook:
         bundle[HOOK] = model.hook
         summary["hook"] = HOOK
@@ -248,5 +253,5 @@ def sources(config: FitConfig) -> Mapping[str, Source]:
 
 
 ENTRY = Stage(
-    name="fit", version=17, needs=needs, config=FitConfig, run=run, sources=sources, numerics=("mujoco", "scipy", "cma", "torch")
+    name="fit", version=18, needs=needs, config=FitConfig, run=run, sources=sources, numerics=("mujoco", "scipy", "cma", "torch")
 )

@@ -1,0 +1,155 @@
+"""Joints that hold things: their servo's numbers, from the stretches of the recordings in which nothing is held.
+
+What a hand holds stops its finger, which would teach a fit that the servo is weak; and a policy sees the finger, so that one which
+lags otherwise than the robot's tells it another moment of its motion.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from edream.calibration.settings import SpaceSettings, simulated_robot
+from edream.calibration.worth import worth_of
+from edream.core.effect import holds_position
+from edream.core.episode import Episode
+from edream.core.errors import EdreamError
+from edream.sim.beginning import beginning
+from edream.sim.emit import emit
+from edream.sim.objective import Objective
+from edream.sim.polish import finish, polish_in_stages
+from edream.sim.robot import RobotModel
+from edream.sim.window import Window
+
+LAWS = ("servo_gain", "viscous", "coulomb")
+SHORT = 0.06  # of a joint's travel in the recordings: standing so far from its command, it is stopped by something
+CREEPING = 0.08  # of that travel, in a second: no faster than this it stands
+LASTING = 0.2  # s that it stands so at least
+SHORTEST = 0.3  # s of a stretch that is worth replaying
+ENOUGH = 120.0  # s of free motion that are fitted
+LEAST = 0.1  # of the travel that a joint must move freely, for its numbers to be told
+
+
+@dataclass(frozen=True, eq=False)
+class Gripped:
+    """A robot whose gripping joints move as they were recorded where they held nothing.
+
+    Attributes:
+        robot: the robot with those numbers.
+        joints: joint -> free_s (seconds of free motion that were fitted), rmse_before and rmse_after (error there, in the
+            joint's unit) and parameters; empty parameters where it hardly moved freely.
+    """
+
+    robot: RobotModel
+    joints: dict[str, dict[str, Any]]
+
+
+def gripping(robot: RobotModel, joints: Sequence[str], episodes: Sequence[Episode]) -> Gripped:
+    """Fit each gripping joint alone, on what it does while it holds nothing.
+
+    Args:
+        robot: as published.
+        joints: those that hold things.
+        episodes: the motions that may teach.
+
+    Raises:
+        EdreamError: the robot has no such joint, or its servo holds no position.
+    """
+    told: dict[str, dict[str, Any]] = {}
+    for joint in joints:
+        column = robot.joint_index(joint)
+        if not holds_position(robot.model, joint):
+            raise EdreamError(f"robot.grips names {joint}, whose servo holds no position; leave it out, and it stays as published.")
+        windows = thinned([window for episode in episodes for window in free_stretches(episode, column)])
+        way = max((float(np.ptp(window.measured[:, column])) for window in windows), default=0.0)
+        if way < LEAST * travel(episodes, column):
+            told[joint] = {"free_s": 0.0, "rmse_before": None, "rmse_after": None, "parameters": {}}
+            continue
+        robot, told[joint] = _fitted(robot, joint, column, windows)
+    return Gripped(robot, told)
+
+
+def _fitted(robot: RobotModel, joint: str, column: int, windows: Sequence[Window]) -> tuple[RobotModel, dict[str, Any]]:
+    simulated = simulated_robot(robot, _laws(joint))
+    objective = Objective(simulated, windows, np.arange(len(robot.joints)) == column)
+    before = objective.residuals(simulated.space.start())[0]
+    found, _ = polish_in_stages(objective, beginning(objective), 12, 10)
+    end = finish(objective, found.values, 10)
+    worth = worth_of(objective, end.values, end.residual, end.jacobian)
+    row = {
+        "free_s": float(sum(window.times[-1] for window in windows)),
+        "rmse_before": float(np.sqrt(np.mean(before**2))),
+        "rmse_after": float(np.sqrt(np.mean(end.residual**2))),
+        "parameters": {name: asdict(estimate) for name, estimate in worth.estimates.items()},
+    }
+    return with_numbers(robot, {joint: row}), row
+
+
+def with_numbers(robot: RobotModel, joints: Mapping[str, Mapping[str, Any]]) -> RobotModel:
+    """A robot with the numbers of its gripping joints, as `Gripped.joints` has them."""
+    for joint, row in joints.items():
+        if row["parameters"]:
+            simulated = simulated_robot(robot, _laws(joint))
+            robot = replace(robot, mjcf=emit(simulated, {n: one["value"] for n, one in row["parameters"].items()}).mjcf)
+    return robot
+
+
+def _laws(joint: str) -> SpaceSettings:
+    return SpaceSettings(effects=tuple(f"{law}@{joint}" for law in LAWS), joints=(joint,))
+
+
+def free_stretches(episode: Episode, column: int) -> list[Window]:
+    """The stretches of a recording in which a joint holds nothing, each from a measured state.
+
+    A joint that stands short of its command is held. It may have touched the thing since it last stood, and it is free again when
+    it stands where it was sent: how fast it leaves what it held is not measured well enough to begin with. Nothing is known of
+    things that it holds with its command hardly past them.
+    """
+    times, position = episode.times, episode.position[:, column]
+    short, still = _standing(episode, column)
+    held = np.zeros(len(times), bool)
+    for first, last in _runs(short & still):
+        if times[last] - times[first] >= LASTING:
+            there = np.flatnonzero(~short & still)
+            since = there[there < first][-1] if (there < first).any() else -1
+            until = there[there > last][0] if (there > last).any() else len(times)
+            held[since + 1 : until] = True
+    out = []
+    for first, last in _runs(~held):
+        # where nothing moves, nothing is learned; a second of rest is
+        moves = np.flatnonzero(np.abs(np.diff(position[first : last + 1])) > 0.0)
+        end = last if not len(moves) else min(last, int(np.searchsorted(times, times[first + moves[-1]] + 1.0)))
+        if times[end] - times[first] >= SHORTEST:
+            out.append(Window(episode, first, end))
+    return out
+
+
+def travel(episodes: Sequence[Episode], column: int) -> float:
+    """How far a joint's commands reach over all recordings."""
+    return float(np.ptp(np.concatenate([episode.command[:, column] for episode in episodes])))
+
+
+def thinned(windows: Sequence[Window]) -> list[Window]:
+    """As many windows, evenly spread, as last `ENOUGH` seconds."""
+    total = sum(window.times[-1] for window in windows)
+    wanted = max(1, round(len(windows) * min(1.0, ENOUGH / max(total, 1e-9))))
+    return (
+        [windows[i] for i in sorted(set(np.linspace(0, len(windows) - 1, wanted).round().astype(int).tolist()))] if windows else []
+    )
+
+
+def _standing(episode: Episode, column: int) -> tuple[np.ndarray, np.ndarray]:
+    """Rows in which a joint is short of its command, and rows in which it stands, (T,) bool each."""
+    times, position = episode.times, episode.position[:, column]
+    rows = np.maximum(np.searchsorted(episode.command_times, times + 1e-9, side="right") - 1, 0)
+    command, reach = episode.command[rows, column], travel([episode], column)
+    speed = np.abs(np.diff(position) / np.diff(times))
+    slow = np.minimum(np.append(speed, speed[-1:]), np.append(speed[:1], speed))  # on either side, so that a stop begins with it
+    return np.abs(position - command) > SHORT * reach, slow < CREEPING * reach
+
+
+def _runs(rows: np.ndarray) -> list[tuple[int, int]]:
+    """First and last row of each run of true."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], rows, [False]]).astype(int)))
+    return [(int(first), int(last) - 1) for first, last in zip(edges[::2], edges[1::2], strict=True)]
