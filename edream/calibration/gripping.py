@@ -22,7 +22,7 @@ from edream.sim.polish import finish, polish_in_stages
 from edream.sim.robot import RobotModel
 from edream.sim.window import Window
 
-LAWS = ("servo_gain", "viscous", "coulomb")
+LAWS = ("servo_gain", "viscous", "coulomb", "armature")
 SHORT = 0.06  # of a joint's travel in the recordings: standing so far from its command, it is stopped by something
 CREEPING = 0.08  # of that travel, in a second: no faster than this it stands
 LASTING = 0.2  # s that it stands so at least
@@ -61,17 +61,20 @@ def gripping(robot: RobotModel, joints: Sequence[str], episodes: Sequence[Episod
         column = robot.joint_index(joint)
         if not holds_position(robot.model, joint):
             raise EdreamError(f"robot.grips names {joint}, whose servo holds no position; leave it out, and it stays as published.")
-        windows = thinned([window for episode in episodes for window in free_stretches(episode, column)])
+        reach = travel(episodes, column)
+        windows = thinned([window for episode in episodes for window in free_stretches(episode, column, reach)])
         way = max((float(np.ptp(window.measured[:, column])) for window in windows), default=0.0)
-        if way < LEAST * travel(episodes, column):
+        if way < LEAST * reach or not reach:
             told[joint] = {"free_s": 0.0, "rmse_before": None, "rmse_after": None, "parameters": {}}
             continue
-        robot, told[joint] = _fitted(robot, joint, column, windows)
+        robot, told[joint] = _fitted(robot, joint, column, windows, episodes)
     return Gripped(robot, told)
 
 
-def _fitted(robot: RobotModel, joint: str, column: int, windows: Sequence[Window]) -> tuple[RobotModel, dict[str, Any]]:
-    simulated = simulated_robot(robot, _laws(joint))
+def _fitted(
+    robot: RobotModel, joint: str, column: int, windows: Sequence[Window], episodes: Sequence[Episode]
+) -> tuple[RobotModel, dict[str, Any]]:
+    simulated = simulated_robot(robot, _laws(joint), episodes)
     objective = Objective(simulated, windows, np.arange(len(robot.joints)) == column)
     before = objective.residuals(simulated.space.start())[0]
     found, _ = polish_in_stages(objective, beginning(objective), 12, 10)
@@ -99,30 +102,22 @@ def _laws(joint: str) -> SpaceSettings:
     return SpaceSettings(effects=tuple(f"{law}@{joint}" for law in LAWS), joints=(joint,))
 
 
-def free_stretches(episode: Episode, column: int) -> list[Window]:
-    """The stretches of a recording in which a joint holds nothing, each from a measured state.
+def free_stretches(episode: Episode, column: int, reach: float) -> list[Window]:
+    """The stretches of a recording in which a joint holds nothing, each from a measured state; `reach` is how far it travels.
 
     A joint that stands short of its command is held. It may have touched the thing since it last stood, and it is free again when
     it stands where it was sent: how fast it leaves what it held is not measured well enough to begin with. Nothing is known of
     things that it holds with its command hardly past them.
     """
-    times, position = episode.times, episode.position[:, column]
-    short, still = _standing(episode, column)
-    held = np.zeros(len(times), bool)
+    times = episode.times
+    short, still, told = _standing(episode, column, reach)
+    there, held = ~short & still & told, np.zeros(len(times), bool)
     for first, last in _runs(short & still):
         if times[last] - times[first] >= LASTING:
-            there = np.flatnonzero(~short & still)
-            since = there[there < first][-1] if (there < first).any() else -1
-            until = there[there > last][0] if (there > last).any() else len(times)
+            since = int(np.append(-1, np.flatnonzero(there[:first]))[-1])
+            until = int(np.append(np.flatnonzero(there[last:]) + last, len(times))[0])
             held[since + 1 : until] = True
-    out = []
-    for first, last in _runs(~held):
-        # where nothing moves, nothing is learned; a second of rest is
-        moves = np.flatnonzero(np.abs(np.diff(position[first : last + 1])) > 0.0)
-        end = last if not len(moves) else min(last, int(np.searchsorted(times, times[first + moves[-1]] + 1.0)))
-        if times[end] - times[first] >= SHORTEST:
-            out.append(Window(episode, first, end))
-    return out
+    return [Window(episode, first, last) for first, last in _runs(~held) if times[last] - times[first] >= SHORTEST]
 
 
 def travel(episodes: Sequence[Episode], column: int) -> float:
@@ -139,14 +134,18 @@ def thinned(windows: Sequence[Window]) -> list[Window]:
     )
 
 
-def _standing(episode: Episode, column: int) -> tuple[np.ndarray, np.ndarray]:
-    """Rows in which a joint is short of its command, and rows in which it stands, (T,) bool each."""
+def _standing(episode: Episode, column: int, reach: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rows in which a joint is short of its command, in which it stands, and in which its command has stood, (T,) bool each."""
     times, position = episode.times, episode.position[:, column]
-    rows = np.maximum(np.searchsorted(episode.command_times, times + 1e-9, side="right") - 1, 0)
-    command, reach = episode.command[rows, column], travel([episode], column)
+    command, before = (_in_force(episode, column, clock) for clock in (times, times - LASTING))
     speed = np.abs(np.diff(position) / np.diff(times))
     slow = np.minimum(np.append(speed, speed[-1:]), np.append(speed[:1], speed))  # on either side, so that a stop begins with it
-    return np.abs(position - command) > SHORT * reach, slow < CREEPING * reach
+    return np.abs(position - command) > SHORT * reach, slow < CREEPING * reach, np.abs(command - before) < SHORT * reach
+
+
+def _in_force(episode: Episode, column: int, clock: np.ndarray) -> np.ndarray:
+    rows = np.maximum(np.searchsorted(episode.command_times, clock + 1e-9, side="right") - 1, 0)
+    return episode.command[rows, column]
 
 
 def _runs(rows: np.ndarray) -> list[tuple[int, int]]:

@@ -62,8 +62,10 @@ def sources(config: DiagnoseConfig) -> Mapping[str, Source]:
 def run(inputs: Mapping[str, Artifact], config: DiagnoseConfig, work: Work) -> Bundle:
     """Diagnose the ingested motions against the robot's model."""
     published = config.robot.load()
-    problem = prepare(published, list(stored_episodes(inputs["ingest"])), settings_of(config, published))
-    grip = gripping(problem.robot, config.diagnose.grips, [window.episode for window in problem.fitted])
+    episodes = list(stored_episodes(inputs["ingest"]))
+    problem = prepare(published, episodes, settings_of(config, published))
+    proof = {window.episode.name for window in problem.proof}
+    grip = gripping(problem.robot, config.diagnose.grips, [one for one in episodes if one.name not in proof])
     problem = replace(problem, robot=grip.robot)
     with work.progress(None, "diagnosing") as bar:
         found = diagnose(problem, lambda text, n: bar.update(n))
