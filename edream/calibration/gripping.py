@@ -105,19 +105,34 @@ def _laws(joint: str) -> SpaceSettings:
 def free_stretches(episode: Episode, column: int, reach: float) -> list[Window]:
     """The stretches of a recording in which a joint holds nothing, each from a measured state; `reach` is how far it travels.
 
-    A joint that stands short of its command is held. It may have touched the thing since it last stood, and it is free again when
-    it stands where it was sent: how fast it leaves what it held is not measured well enough to begin with. Nothing is known of
-    things that it holds with its command hardly past them.
+    A joint that stands short of its command is held. It may have touched the thing since it last stood where it was sent, and it is
+    free again when its command lets it go, at rest. Nothing is known of things that it holds with its command hardly past them.
     """
-    times = episode.times
+    times, short_of = episode.times, episode.position[:, column] - _in_force(episode, column, episode.times)
     short, still, told = _standing(episode, column, reach)
-    there, held = ~short & still & told, np.zeros(len(times), bool)
+    there, held = np.flatnonzero(~short & still & told), np.zeros(len(times), bool)
     for first, last in _runs(short & still):
         if times[last] - times[first] >= LASTING:
-            since = int(np.append(-1, np.flatnonzero(there[:first]))[-1])
-            until = int(np.append(np.flatnonzero(there[last:]) + last, len(times))[0])
-            held[since + 1 : until] = True
-    return [Window(episode, first, last) for first, last in _runs(~held) if times[last] - times[first] >= SHORTEST]
+            touched = there[there < first]
+            let_go = np.flatnonzero(short_of[first:] * short_of[first] <= 0.0)
+            held[touched[-1] + 1 if len(touched) else 0 : first + let_go[0] if len(let_go) else len(times)] = True
+    return [_alone(episode, first, last) for first, last in _runs(~held) if times[last] - times[first] >= SHORTEST]
+
+
+def _alone(episode: Episode, first: int, last: int) -> Window:
+    """A stretch as a motion of its own: one that sets out from rest there is known to."""
+    clock, rows = episode.times[first], slice(first, last + 1)
+    alone = replace(
+        episode,
+        times=episode.times[rows] - clock,
+        position=episode.position[rows],
+        command_times=episode.command_times - clock,
+        velocity=None,
+        effort=None,
+        videos={},
+        signals={},
+    )
+    return Window(alone, 0, last - first)
 
 
 def travel(episodes: Sequence[Episode], column: int) -> float:

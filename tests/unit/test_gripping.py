@@ -44,16 +44,19 @@ def episode(thing: float | None, name: str = "grasp", close: float = 0.0) -> Epi
     return Episode(name, ("turn", "gap"), times, np.array(rows), times, commands)
 
 
-def test_a_stretch_ends_where_the_closing_begins_and_the_next_begins_where_it_is_open_again() -> None:
+def test_a_stretch_ends_where_the_closing_begins_and_the_next_begins_where_its_command_lets_go() -> None:
     held = episode(THING)
     first, second = free_stretches(held, 1, WIDE)
-    assert first.first == 0 and 1.3 < held.times[first.last] <= 2.3
-    assert 5.2 < held.times[second.first] < 6.0 and held.position[second.first, 1] > 0.06
+    assert 1.3 < first.times[-1] <= 2.3 and np.array_equal(first.measured, held.position[: len(first.times)])
+    begun = held.times[-1] - second.times[-1]
+    assert 5.0 < begun < 5.2 and second.measured[0, 1] == pytest.approx(THING, abs=1e-3) and second.measured[-1, 1] > 0.06
+    told = second.episode.command[np.searchsorted(second.episode.command_times, 0.0), 1]
+    assert told == held.command[np.searchsorted(held.times, begun), 1] and told > second.measured[0, 1]
 
 
 def test_what_holds_nothing_is_free_from_end_to_end() -> None:
     (whole,) = free_stretches(episode(None), 1, WIDE)
-    assert whole.first == 0 and whole.last == len(whole.episode.times) - 1
+    assert np.array_equal(whole.measured, episode(None).position)
 
 
 def test_what_it_holds_does_not_make_its_servo_weak() -> None:
