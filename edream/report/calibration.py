@@ -52,6 +52,7 @@ def calibration_page(
             for figure in overlays(traces, name, word)
         ],
         "parameters": _parameters(summary["parameters"], details["correlation"]["names"]),
+        "grips": summary.get("grips", {}),
         "correlation": correlation([tied(name) for name in details["correlation"]["names"]], details["correlation"]["values"]),
         "history": history(details["history"]),
         "surrogate": None if surrogate is None else surrogate["summary.json"],

@@ -51,6 +51,7 @@ def diagnosis_page(found: Mapping[str, Any], ingested: Mapping[str, Any], robot:
         ],
         "ranking": _ranking(found["ranking.json"]),
         "nuisance": [{"unit": "", **row} for row in found["nuisance.json"]],
+        "grips": result.get("grips", {}),
         "difference": found["difference.txt"].splitlines() if "difference.txt" in found else [],
         "hook": found["hook.py"] if "hook.py" in found else None,  # noqa: SIM401 - an artifact's own error is not KeyError
         "next_motion": next_motion(found["next_motion.csv"], found["next_motion.json"]) if "next_motion.csv" in found else None,
