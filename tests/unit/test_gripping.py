@@ -1,5 +1,7 @@
 """A joint that holds things is fitted where it holds nothing."""
 
+from pathlib import Path
+
 import mujoco
 import numpy as np
 import pytest
@@ -8,6 +10,7 @@ from edream.calibration.gripping import free_stretches, gripping, with_numbers
 from edream.calibration.settings import SpaceSettings, scored, simulated_robot
 from edream.core.episode import Episode
 from edream.core.errors import EdreamError
+from edream.practice.rehearsing import RolloutOptions, drawn_physics
 from edream.sim.robot import RobotModel
 
 MODEL = """<mujoco><option integrator="implicitfast"/><worldbody>
@@ -102,3 +105,17 @@ def test_a_joint_whose_servo_holds_no_position_cannot_grip() -> None:
     )
     with pytest.raises(EdreamError, match="grips names gap, whose servo holds no position"):
         gripping(RobotModel("hand", text), ("gap",), [episode(THING)])
+
+
+def test_robots_drawn_for_trials_have_the_hand_that_was_fitted(tmp_path: Path) -> None:
+    found = gripping(PUBLISHED, ("gap",), [episode(THING)])
+    friction = {"value": 0.1, "interval": (0.05, 0.15), "status": "converged"}
+    made = {
+        "summary.json": {"parameters": {"coulomb.torque[turn]": friction}, "grips": found.joints},
+        "details.json": {"correlation": {"names": ["coulomb.torque[turn]"], "values": [[1.0]]}},
+    }
+    drawn = drawn_physics(PUBLISHED, made, SpaceSettings(("coulomb",), grips=("gap",)), RolloutOptions(draws=2), tmp_path, 1)
+    models = [mujoco.MjModel.from_xml_string(one.mjcf) for one in drawn]
+    fitted = found.joints["gap"]["parameters"]["coulomb.torque[gap]"]["value"]
+    assert [one.dof_frictionloss[1] for one in models] == [pytest.approx(fitted)] * 2
+    assert models[0].dof_frictionloss[0] != models[1].dof_frictionloss[0]

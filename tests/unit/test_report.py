@@ -257,6 +257,17 @@ def test_a_fit_without_held_out_motions_has_a_page() -> None:
     assert "fitted to" in calibration_page(calibration(held=False), ingested(), None, "arm")
 
 
+def test_the_page_says_what_became_of_joints_that_hold_things() -> None:
+    made = calibration()
+    found = {"value": 390.0, "unit": "N/m", "interval": (380.0, 400.0)}
+    seen = {"free_s": 30.0, "rmse_before": 3.7e-4, "rmse_after": 2.3e-5, "parameters": {"servo_gain.kp[jaw]": found}}
+    never = {"free_s": 0.0, "rmse_before": None, "rmse_after": None, "parameters": {}}
+    made["summary.json"] = {**made["summary.json"], "grips": {"jaw": seen, "claw": never}}
+    text = calibration_page(made, ingested(), None, "arm")
+    assert "Joints that hold things" in text and "390" in text and ">0.37<" in text and ">0.02<" in text
+    assert "as published: it hardly moved without holding something" in text
+
+
 @pytest.mark.parametrize("effect", [*sorted({kind: name for name, kind in SHOWS.items()}.values()), "never_heard_of"])
 def test_every_kind_of_effect_has_its_picture(effect: str) -> None:
     rows = [{k: v for k, v in row.items() if k not in ("published", "speed")} for row in traces_of(motions=2)]
