@@ -26,7 +26,9 @@ LAWS = ("servo_gain", "viscous", "coulomb", "armature")
 SHORT = 0.06  # of a joint's travel in the recordings: standing so far from its command, it is stopped by something
 CREEPING = 0.08  # of that travel, in a second: no faster than this it stands
 LASTING = 0.2  # s that it stands so at least
+HALF = 0.5  # of the way to a thing, on which most are not yet touched
 SHORTEST = 0.3  # s of a stretch that is worth replaying
+ODD = 3.0  # times the median stretch's error: there something was touched earlier
 ENOUGH = 120.0  # s of free motion that are fitted
 LEAST = 0.1  # of the travel that a joint must move freely, for its numbers to be told
 
@@ -61,24 +63,35 @@ def gripping(robot: RobotModel, joints: Sequence[str], episodes: Sequence[Episod
         column = robot.joint_index(joint)
         if not holds_position(robot.model, joint):
             raise EdreamError(f"robot.grips names {joint}, whose servo holds no position; leave it out, and it stays as published.")
-        reach = travel(episodes, column)
-        windows = thinned([window for episode in episodes for window in free_stretches(episode, column, reach)])
-        way = max((float(np.ptp(window.measured[:, column])) for window in windows), default=0.0)
-        if way < LEAST * reach or not reach:
+        windows = _enough(episodes, column)
+        if not windows:
             told[joint] = {"free_s": 0.0, "rmse_before": None, "rmse_after": None, "parameters": {}}
             continue
         robot, told[joint] = _fitted(robot, joint, column, windows, episodes)
     return Gripped(robot, told)
 
 
+def _enough(episodes: Sequence[Episode], column: int) -> list[Window]:
+    """Stretches in which a joint moves far enough to tell its numbers, half of its ways to things among them only if it must be."""
+    reach = travel(episodes, column)
+    for share in (0.0, HALF):
+        windows = thinned([window for episode in episodes for window in free_stretches(episode, column, reach, share)])
+        if reach and max((float(np.ptp(window.measured[:, column])) for window in windows), default=0.0) >= LEAST * reach:
+            return windows
+    return []
+
+
 def _fitted(
     robot: RobotModel, joint: str, column: int, windows: Sequence[Window], episodes: Sequence[Episode]
 ) -> tuple[RobotModel, dict[str, Any]]:
     simulated = simulated_robot(robot, _laws(joint), episodes)
-    objective = Objective(simulated, windows, np.arange(len(robot.joints)) == column)
+    own = np.arange(len(robot.joints)) == column
+    start = beginning(Objective(simulated, windows, own))
+    first, _ = polish_in_stages(Objective(simulated, windows, own), start, 12, 10)
+    windows = _usual(Objective(simulated, windows, own), first.values)
+    objective = Objective(simulated, windows, own)
     before = objective.residuals(simulated.space.start())[0]
-    found, _ = polish_in_stages(objective, beginning(objective), 12, 10)
-    end = finish(objective, found.values, 10)
+    end = finish(objective, first.values, 10)
     worth = worth_of(objective, end.values, end.residual, end.jacobian)
     row = {
         "free_s": float(sum(window.times[-1] for window in windows)),
@@ -87,6 +100,12 @@ def _fitted(
         "parameters": {name: asdict(estimate) for name, estimate in worth.estimates.items()},
     }
     return with_numbers(robot, {joint: row}), row
+
+
+def _usual(objective: Objective, values: np.ndarray) -> list[Window]:
+    """The windows that are not much worse than the median one."""
+    rms = [float(np.sqrt(np.mean(part**2))) for part in objective.per_window(objective.residuals(values)[0])]
+    return [window for window, one in zip(objective.windows, rms, strict=True) if one <= ODD * np.median(rms)]
 
 
 def with_numbers(robot: RobotModel, joints: Mapping[str, Mapping[str, Any]]) -> RobotModel:
@@ -102,21 +121,32 @@ def _laws(joint: str) -> SpaceSettings:
     return SpaceSettings(effects=tuple(f"{law}@{joint}" for law in LAWS), joints=(joint,))
 
 
-def free_stretches(episode: Episode, column: int, reach: float) -> list[Window]:
-    """The stretches of a recording in which a joint holds nothing, each from a measured state; `reach` is how far it travels.
+def free_stretches(episode: Episode, column: int, reach: float, share: float = 0.0) -> list[Window]:
+    """The stretches of a recording in which a joint holds nothing, each from a measured state.
 
-    A joint that stands short of its command is held. It may have touched the thing since it last stood where it was sent, and it is
-    free again when its command lets it go, at rest. Nothing is known of things that it holds with its command hardly past them.
+    A joint that stands short of its command is held. It may have touched the thing on its way there from where it last stood, and
+    is free again when its command lets it go, at rest. Nothing is known of things that it holds with its command hardly past them.
+
+    Args:
+        reach: how far the joint travels.
+        share: of that way to a thing, on which it is taken not to have touched it yet.
     """
-    times, short_of = episode.times, episode.position[:, column] - _in_force(episode, column, episode.times)
+    times, position = episode.times, episode.position[:, column]
+    short_of = position - _in_force(episode, column, times)
     short, still, told = _standing(episode, column, reach)
     there, held = np.flatnonzero(~short & still & told), np.zeros(len(times), bool)
     for first, last in _runs(short & still):
         if times[last] - times[first] >= LASTING:
-            touched = there[there < first]
+            stood = int(np.append(0, there[there < first])[-1])
+            on_its_way = np.abs(position[stood:first] - position[first]) > (1.0 - share) * abs(position[stood] - position[first])
             let_go = np.flatnonzero(short_of[first:] * short_of[first] <= 0.0)
-            held[touched[-1] + 1 if len(touched) else 0 : first + let_go[0] if len(let_go) else len(times)] = True
+            held[stood + _leading(on_its_way) : first + let_go[0] if len(let_go) else len(times)] = True
     return [_alone(episode, first, last) for first, last in _runs(~held) if times[last] - times[first] >= SHORTEST]
+
+
+def _leading(rows: np.ndarray) -> int:
+    """How many rows are true before the first that is not."""
+    return int(np.argmin(np.append(rows, False)))
 
 
 def _alone(episode: Episode, first: int, last: int) -> Window:

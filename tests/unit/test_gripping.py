@@ -27,13 +27,13 @@ TRUE = MODEL.format(damping=6, friction=0.8, kp=340, kv=22)
 WIDE, NEAR, THING = 0.07, 0.044, 0.016
 
 
-def episode(thing: float | None, name: str = "grasp", close: float = 0.0) -> Episode:
+def episode(thing: float | None, name: str = "grasp", way: tuple[float, ...] = (WIDE, NEAR, NEAR, 0.0, 0.0, WIDE)) -> Episode:
     """Open, half closed, closed onto a thing of a width (or onto nothing), open again: 25 rows a second of a hand that is not the
     published one. Where there is a thing, a stiff wall stops the finger."""
     model = mujoco.MjModel.from_xml_string(TRUE)
     data = mujoco.MjData(model)
     times = np.arange(0.0, 9.0, 0.04)
-    path = np.interp(times, [0.3, 1.3, 2.2, 2.7, 5.0, 5.2], [WIDE, NEAR, NEAR, close, close, WIDE])
+    path = np.interp(times, [0.3, 1.3, 2.2, 2.7, 5.0, 5.2], way)
     data.qpos[1] = data.ctrl[1] = WIDE
     mujoco.mj_step(model, data, 500)
     rows = []
@@ -68,6 +68,13 @@ def test_what_it_holds_does_not_make_its_servo_weak() -> None:
     assert numbers["viscous.damping"] / numbers["servo_gain.kp"] == pytest.approx(28 / 340, rel=0.03)
     assert numbers["coulomb.torque"] / numbers["servo_gain.kp"] == pytest.approx(0.8 / 340, rel=0.05)
     assert found["rmse_after"] < 0.15 * found["rmse_before"] and found["free_s"] > 5.0
+
+
+def test_where_it_closes_in_one_go_and_stays_closed_half_of_the_way_tells_how_it_lags() -> None:
+    held = [episode(THING + 0.004 * n, f"grasp{n}", (WIDE, WIDE, WIDE, 0.0, 0.0, 0.0)) for n in range(3)]
+    numbers = gripping(PUBLISHED, ("gap",), held).joints["gap"]["parameters"]
+    lag = numbers["viscous.damping[gap]"]["value"] / numbers["servo_gain.kp[gap]"]["value"]
+    assert lag == pytest.approx(28 / 340, rel=0.02)
 
 
 def test_numbers_that_were_written_down_give_the_same_robot() -> None:
