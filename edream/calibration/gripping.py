@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from edream.calibration.settings import SpaceSettings, simulated_robot
+from edream.calibration.settings import Limits, SpaceSettings, simulated_robot
 from edream.calibration.worth import worth_of
 from edream.core.effect import holds_position
 from edream.core.episode import Episode
@@ -30,6 +30,7 @@ HALF = 0.5  # of the way to a thing, on which most are not yet touched
 SHORTEST = 0.3  # s of a stretch that is worth replaying
 ODD = 3.0  # times the median stretch's error: there something was touched earlier
 ENOUGH = 120.0  # s of free motion that are fitted
+BELIEVED = 0.3  # standard deviation of the logarithm of kp about the published one: free motion hardly tells how strong it is
 LEAST = 0.1  # of the travel that a joint must move freely, for its numbers to be told
 
 
@@ -118,7 +119,8 @@ def with_numbers(robot: RobotModel, joints: Mapping[str, Mapping[str, Any]]) -> 
 
 
 def _laws(joint: str) -> SpaceSettings:
-    return SpaceSettings(effects=tuple(f"{law}@{joint}" for law in LAWS), joints=(joint,))
+    believed = {"servo_gain.kp": Limits(spread=BELIEVED)}
+    return SpaceSettings(effects=tuple(f"{law}@{joint}" for law in LAWS), joints=(joint,), limits=believed)
 
 
 def free_stretches(episode: Episode, column: int, reach: float, share: float = 0.0) -> list[Window]:
