@@ -6,11 +6,13 @@ import mujoco
 import numpy as np
 import pytest
 
+from edream import config, pipeline
 from edream.calibration.gripping import free_stretches, gripping, with_numbers
-from edream.calibration.settings import SpaceSettings, scored, simulated_robot
+from edream.calibration.settings import RobotSettings, SpaceSettings, scored, simulated_robot
 from edream.core.episode import Episode
 from edream.core.errors import EdreamError
 from edream.practice.rehearsing import RolloutOptions, drawn_physics
+from edream.record import RecordConfig, record
 from edream.sim.robot import RobotModel
 
 MODEL = """<mujoco><option integrator="implicitfast"/><worldbody>
@@ -126,3 +128,20 @@ def test_robots_drawn_for_trials_have_the_hand_that_was_fitted(tmp_path: Path) -
     fitted = found.joints["gap"]["parameters"]["coulomb.torque[gap]"]["value"]
     assert [one.dof_frictionloss[1] for one in models] == [pytest.approx(fitted)] * 2
     assert models[0].dof_frictionloss[0] != models[1].dof_frictionloss[0]
+
+
+def test_a_diagnosis_keeps_a_gripping_joint_to_its_own_fit(tmp_path: Path) -> None:
+    """On a make-believe robot that is not the published one; the effect hidden on the other joint is named all the same."""
+    robot = config.read(config.compose(["robot=pan_tilt"]).robot, RobotSettings, "robot").load()
+    data = tmp_path / "recorded"
+    record(robot, RecordConfig(data, motions=6, seconds=4.0, effects=("actuator_delay",), at=("pan",)), seed=5)
+    words = ["robot=pan_tilt", f"data={data}", f"runs={tmp_path / 'runs'}", "robot.grips=[tilt]", "report.of=diagnose"]
+    cfg = config.compose([*words, "diagnose.effects=[actuator_delay,viscous]", "diagnose.next_motion=false"])
+    found = pipeline.make_run("diagnose", ("diagnose", "report"), cfg)[0]
+    told, model = found["diagnose"]["summary.json"], found["diagnose"]["model.xml"]
+    assert [one["targets"] for one in told["effects"]] == [["pan"]] and not any("tilt" in name for name in told["parameters"])
+    assert told["grips"]["tilt"]["rmse_after"] < 0.2 * told["grips"]["tilt"]["rmse_before"]
+    fitted = told["grips"]["tilt"]["parameters"]["coulomb.torque[tilt]"]["value"]
+    assert mujoco.MjModel.from_xml_string(model).joint("tilt").frictionloss[0] == pytest.approx(fitted)
+    assert 'joint name="tilt"' in found["diagnose"]["difference.txt"], "what was fitted of it stands in the difference"
+    assert "Joints that hold things" in found["report"]["report.html"]
