@@ -191,13 +191,16 @@ def counting(robot: RobotModel, joints: Sequence[str], grips: Sequence[str]) -> 
     """Joints that count, empty for all: those named, or all but those that grip.
 
     Raises:
-        EdreamError: one that grips is named to count, or the robot has no such joint.
+        EdreamError: one that grips is named to count, all grip, or the robot has no such joint.
     """
     for name in grips:
         robot.joint_index(name)
         if name in joints:
             raise EdreamError(f"{name} is in robot.grips and in robot.scored; what a gripper holds must not count: leave one out.")
-    return tuple(joints) or (tuple(name for name in robot.joints if name not in grips) if grips else ())
+    others = tuple(name for name in robot.joints if name not in grips)
+    if not others:
+        raise EdreamError("robot.grips names every joint, so that none is left to calibrate; name those that hold things alone.")
+    return tuple(joints) or (others if grips else ())
 
 
 def _fit_start(parameter, bounds) -> None:

@@ -104,6 +104,8 @@ def test_a_gripping_joint_never_counts() -> None:
     assert [one.targets for one in everywhere.placements] == [("turn",)]
     with pytest.raises(EdreamError, match="what a gripper holds must not count"):
         scored(PUBLISHED, SpaceSettings(("coulomb",), joints=("turn", "gap"), grips=("gap",)))
+    with pytest.raises(EdreamError, match="names every joint"):
+        scored(PUBLISHED, SpaceSettings(("coulomb",), grips=("turn", "gap")))
     with pytest.raises(EdreamError, match="thumb"):
         scored(PUBLISHED, SpaceSettings(("coulomb",), grips=("thumb",)))
 
