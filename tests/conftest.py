@@ -12,6 +12,8 @@ ROOT = Path(__file__).resolve().parent.parent
 def shared_data() -> Path:
     """Folder of real measurements: EDREAM_SHARED_DATA, or `shared/data` beside the checkout; without it, tests are skipped."""
     folder = Path(os.environ.get("EDREAM_SHARED_DATA") or ROOT.parent / "shared" / "data")
+    if os.environ.get("EDREAM_SHARED_DATA") and not folder.is_dir():
+        pytest.fail(f"EDREAM_SHARED_DATA names no folder: {folder}", pytrace=False)
     if not folder.is_dir():
         pytest.skip(f"real measurements are not here: no folder {folder}; set EDREAM_SHARED_DATA")
     return folder

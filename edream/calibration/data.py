@@ -13,7 +13,11 @@ def stretches(episodes: Sequence[Episode], seconds: float, total: float, until: 
 
     Each restarts at a measured state. With more motions than stretches, motions are skipped evenly.
     """
-    windows = split(episodes, seconds, until)
+    return thinned(split(episodes, seconds, until), total)
+
+
+def thinned(windows: Sequence[Window], total: float) -> list[Window]:
+    """As many windows, evenly spread, as last about `total` seconds together; all where they last no longer."""
     lengths = np.array([window.times[-1] for window in windows])
     wanted = max(1, round(len(windows) * min(1.0, total / lengths.sum())))
     return [windows[i] for i in sorted(set(np.linspace(0, len(windows) - 1, wanted).round().astype(int).tolist()))]

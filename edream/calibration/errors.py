@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from edream.calibration.pose import Chain, pose_error
 from edream.core.episode import Episode
@@ -54,7 +55,7 @@ def perfect_tracking(
 ) -> dict[str, Any]:
     """The errors of a robot that is always where it is told to be."""
     windows = whole(episodes, until)
-    return summary(simulated, [_commanded(window) for window in windows], windows, joints)
+    return summary(simulated, [commanded(window) for window in windows], windows, joints)
 
 
 def summary(
@@ -95,7 +96,7 @@ def _rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def _commanded(window: Window) -> np.ndarray:
+def commanded(window: Window) -> Float[np.ndarray, "T J"]:
+    """The command in force at each measurement of a window [rad or m]."""
     episode = window.episode
-    clock = episode.times[window.first : window.last + 1]
-    return episode.command[np.maximum(np.searchsorted(episode.command_times, clock + 1e-9, side="right") - 1, 0)]
+    return episode.command[episode.in_force(episode.times[window.first : window.last + 1])]

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from edream.calibration.data import thinned
 from edream.calibration.settings import Limits, SpaceSettings, simulated_robot
 from edream.calibration.worth import worth_of
 from edream.core.effect import holds_position
@@ -17,7 +18,7 @@ from edream.core.episode import Episode
 from edream.core.errors import EdreamError
 from edream.sim.beginning import beginning
 from edream.sim.emit import emit
-from edream.sim.objective import Objective
+from edream.sim.objective import Objective, rms
 from edream.sim.polish import finish, polish_in_stages
 from edream.sim.robot import RobotModel
 from edream.sim.window import Window
@@ -76,9 +77,9 @@ def _enough(episodes: Sequence[Episode], column: int) -> list[Window]:
     """Stretches in which a joint moves far enough to tell its numbers, half of its ways to things among them only if it must be."""
     reach = travel(episodes, column)
     for share in (0.0, HALF):
-        windows = thinned([window for episode in episodes for window in free_stretches(episode, column, reach, share)])
+        windows = [window for episode in episodes for window in free_stretches(episode, column, reach, share)]
         if reach and max((float(np.ptp(window.measured[:, column])) for window in windows), default=0.0) >= LEAST * reach:
-            return windows
+            return thinned(windows, ENOUGH)
     return []
 
 
@@ -86,18 +87,17 @@ def _fitted(
     robot: RobotModel, joint: str, column: int, windows: Sequence[Window], episodes: Sequence[Episode]
 ) -> tuple[RobotModel, dict[str, Any]]:
     simulated = simulated_robot(robot, _laws(joint), episodes)
-    own = np.arange(len(robot.joints)) == column
-    start = beginning(Objective(simulated, windows, own))
-    first, _ = polish_in_stages(Objective(simulated, windows, own), start, 12, 10)
-    windows = _usual(Objective(simulated, windows, own), first.values)
-    objective = Objective(simulated, windows, own)
+    objective = Objective(simulated, windows, np.arange(len(robot.joints)) == column)
+    first, _ = polish_in_stages(objective, beginning(objective), 12, 10)
+    windows = _usual(objective, first.values)
+    objective = Objective(simulated, windows, objective.joints)
     before = objective.residuals(simulated.space.start())[0]
     end = finish(objective, first.values, 10)
     worth = worth_of(objective, end.values, end.residual, end.jacobian)
     row = {
         "free_s": float(sum(window.times[-1] for window in windows)),
-        "rmse_before": float(np.sqrt(np.mean(before**2))),
-        "rmse_after": float(np.sqrt(np.mean(end.residual**2))),
+        "rmse_before": rms(before),
+        "rmse_after": rms(end.residual),
         "parameters": {name: asdict(estimate) for name, estimate in worth.estimates.items()},
     }
     return with_numbers(robot, {joint: row}), row
@@ -105,8 +105,8 @@ def _fitted(
 
 def _usual(objective: Objective, values: np.ndarray) -> list[Window]:
     """The windows that are not much worse than the median one."""
-    rms = [float(np.sqrt(np.mean(part**2))) for part in objective.per_window(objective.residuals(values)[0])]
-    return [window for window, one in zip(objective.windows, rms, strict=True) if one <= ODD * np.median(rms)]
+    errors = [rms(part) for part in objective.per_window(objective.residuals(values)[0])]
+    return [window for window, one in zip(objective.windows, errors, strict=True) if one <= ODD * np.median(errors)]
 
 
 def with_numbers(robot: RobotModel, joints: Mapping[str, Mapping[str, Any]]) -> RobotModel:
@@ -130,11 +130,12 @@ def free_stretches(episode: Episode, column: int, reach: float, share: float = 0
     is free again when its command lets it go, at rest. Nothing is known of things that it holds with its command hardly past them.
 
     Args:
-        reach: how far the joint travels.
+        column: of the joint.
+        reach: how far the joint travels in all recordings [rad or m].
         share: of that way to a thing, on which it is taken not to have touched it yet.
     """
     times, position = episode.times, episode.position[:, column]
-    short_of = position - _in_force(episode, column, times)
+    short_of = position - episode.command[episode.in_force(times), column]
     short, still, told = _standing(episode, column, reach)
     there, held = np.flatnonzero(~short & still & told), np.zeros(len(times), bool)
     for first, last in _runs(short & still):
@@ -168,31 +169,17 @@ def _alone(episode: Episode, first: int, last: int) -> Window:
 
 
 def travel(episodes: Sequence[Episode], column: int) -> float:
-    """How far a joint's commands reach over all recordings."""
+    """How far a joint's commands reach over all recordings [rad or m]."""
     return float(np.ptp(np.concatenate([episode.command[:, column] for episode in episodes])))
-
-
-def thinned(windows: Sequence[Window]) -> list[Window]:
-    """As many windows, evenly spread, as last `ENOUGH` seconds."""
-    total = sum(window.times[-1] for window in windows)
-    wanted = max(1, round(len(windows) * min(1.0, ENOUGH / max(total, 1e-9))))
-    return (
-        [windows[i] for i in sorted(set(np.linspace(0, len(windows) - 1, wanted).round().astype(int).tolist()))] if windows else []
-    )
 
 
 def _standing(episode: Episode, column: int, reach: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Rows in which a joint is short of its command, in which it stands, and in which its command has stood, (T,) bool each."""
     times, position = episode.times, episode.position[:, column]
-    command, before = (_in_force(episode, column, clock) for clock in (times, times - LASTING))
+    command, before = (episode.command[episode.in_force(clock), column] for clock in (times, times - LASTING))
     speed = np.abs(np.diff(position) / np.diff(times))
     slow = np.minimum(np.append(speed, speed[-1:]), np.append(speed[:1], speed))  # on either side, so that a stop begins with it
     return np.abs(position - command) > SHORT * reach, slow < CREEPING * reach, np.abs(command - before) < SHORT * reach
-
-
-def _in_force(episode: Episode, column: int, clock: np.ndarray) -> np.ndarray:
-    rows = np.maximum(np.searchsorted(episode.command_times, clock + 1e-9, side="right") - 1, 0)
-    return episode.command[rows, column]
 
 
 def _runs(rows: np.ndarray) -> list[tuple[int, int]]:

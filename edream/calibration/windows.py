@@ -130,7 +130,7 @@ def _commands(windows: Sequence[Window]) -> tuple[np.ndarray, np.ndarray, np.nda
     for window in windows:
         episode = window.episode
         clock = episode.times[window.first : window.last + 1]
-        rows = np.maximum(np.searchsorted(episode.command_times, clock + 1e-9, side="right") - 1, 0)
+        rows = episode.in_force(clock)
         command.append(episode.command[rows])
         dt.append(np.append(np.diff(clock), 0.0))
         enabled.append(np.ones(len(rows)) if episode.enabled is None else episode.enabled[rows].astype(float))

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 
 from edream.core.errors import EdreamError
 
@@ -123,6 +123,10 @@ class Episode:
                     f"Episode {self.name!r}: {what} of joint {self.joints[column]!r} is not a finite number at row {row}; "
                     f"{len(bad)} such values in all. Expected finite numbers only."
                 )
+
+    def in_force(self, clock: Float[np.ndarray, "N"]) -> Int[np.ndarray, "N"]:
+        """Row of the command that holds at each time [s] (zero-order hold); the first before there is one."""
+        return np.maximum(np.searchsorted(self.command_times, clock + 1e-9, side="right") - 1, 0)
 
     @property
     def duration(self) -> float:

@@ -61,7 +61,7 @@ def _traces(found: Diagnosis) -> pa.Table:
     parts = []
     for number, window in enumerate(windows):
         episode, times = window.episode, window.times
-        rows = np.searchsorted(episode.command_times, episode.times[window.first : window.last + 1] + 1e-9, side="right") - 1
+        rows = episode.in_force(episode.times[window.first : window.last + 1])
         speed = np.gradient(window.measured, times, axis=0)
         load = gravity_load(problem, window)
         for joint in problem.joints:
@@ -70,7 +70,7 @@ def _traces(found: Diagnosis) -> pa.Table:
                 "motion": np.full(len(times), episode.name),
                 "joint": np.full(len(times), joint),
                 "time": times,
-                "command": episode.command[np.maximum(rows, 0), j],
+                "command": episode.command[rows, j],
                 "measured": window.measured[:, j],
                 **{name: versions[name][number][:, j] for name in versions},
                 "speed": speed[:, j],

@@ -317,9 +317,7 @@ def _begins(windows: Sequence[Window], n: int) -> Float[np.ndarray, "N"]:
 def _held_commands(window: Window, step: float, steps: int) -> Float[np.ndarray, "K J"]:
     """The command in force at each step (zero-order hold)."""
     episode = window.episode
-    clock = episode.times[window.first] + step * np.arange(steps)
-    rows = np.searchsorted(episode.command_times, clock + 1e-9, side="right") - 1
-    return episode.command[np.maximum(rows, 0)]
+    return episode.command[episode.in_force(episode.times[window.first] + step * np.arange(steps))]
 
 
 def _enabled(window: Window, step: float) -> list[tuple[int, bool]]:

@@ -58,7 +58,7 @@ def start_actuators(
         samples = int(model.actuator_history[actuator][0])
         if samples:
             clock = now - step * np.arange(samples, 0, -1)
-            past = episode.command[np.maximum(np.searchsorted(episode.command_times, clock + 1e-9, side="right") - 1, 0), column]
+            past = episode.command[episode.in_force(clock), column]
             start = int(model.actuator_historyadr[actuator]) + 2 + samples
             history[rows, start : start + samples] = past
 
@@ -120,8 +120,7 @@ def held_at_rest(
 def error_since(window: Window, model: mujoco.MjModel, index: Sequence[dict[str, int]]) -> Float[np.ndarray, "I"]:
     """Integral of each such servo's error from the start of the recording to that of the window [rad s]."""
     episode, clock = window.episode, window.episode.times[: window.first + 1]
-    told = np.maximum(np.searchsorted(episode.command_times, clock[:-1] + 1e-9, side="right") - 1, 0)
-    asked = np.diff(clock) @ episode.command[told]  # held from each row to the next
+    asked = np.diff(clock) @ episode.command[episode.in_force(clock[:-1])]  # held from each row to the next
     error = asked - np.trapezoid(episode.position[: window.first + 1], clock, axis=0)
     return error[[column for column, _ in _integrating(model, index)]]
 

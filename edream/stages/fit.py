@@ -9,7 +9,7 @@ import pyarrow as pa
 
 from edream import catalog
 from edream.calibration.data import sampling_stride, stretches
-from edream.calibration.errors import UNSTABLE, before_and_after, error_table, perfect_tracking, replayed
+from edream.calibration.errors import UNSTABLE, before_and_after, commanded, error_table, perfect_tracking, replayed
 from edream.calibration.gripping import gripping
 from edream.calibration.moves import check_moves
 from edream.calibration.pose_objective import PoseObjective
@@ -28,6 +28,7 @@ from edream.sim.differences import jacobian
 from edream.sim.emit import emit
 from edream.sim.objective import Objective
 from edream.sim.polish import finish
+from edream.sim.robot import RobotModel
 from edream.sim.simulation import SimulatedRobot
 from edream.sim.touch import kept_clear
 from edream.sim.window import whole
@@ -100,7 +101,7 @@ def run(inputs: Mapping[str, Artifact], config: FitConfig, work: Work) -> Bundle
     before = objective.simulations
     values, worth = judged(objective, np.array(result["values"]), settings.search.polish if entry.least_squares else 0)
     result = {**result, "simulations": result["simulations"] + objective.simulations - before}
-    error = errors(simulated, values, train, held, counted, settings.until)
+    error = errors(simulated, values, published, train, held, counted, settings.until)
     model = emit(simulated, values, beside=published)
     summary = _summary(worth, error, result, held, settings, inputs)
     bundle: dict[str, Any] = {MODEL: model.mjcf, **model.files}
@@ -119,7 +120,7 @@ def run(inputs: Mapping[str, Artifact], config: FitConfig, work: Work) -> Bundle
         "train": [episode.name for episode in train],
         "model_difference": model.difference,
     }
-    replay = overlays(simulated, values, [*train, *held], settings.until)
+    replay = overlays(simulated, values, published, [*train, *held], settings.until)
     return bundle | {"summary.json": summary, "details.json": details, "replay.parquet": replay}
 
 
@@ -166,41 +167,42 @@ def judged(objective: Any, values: np.ndarray, steps: int) -> tuple[np.ndarray, 
 def errors(
     simulated: SimulatedRobot,
     values: np.ndarray,
+    published: RobotModel,
     train: Sequence[Episode],
     held: Sequence[Episode],
     counted: np.ndarray,
     until: float | None,
 ) -> dict[str, Any]:
     """Replay errors before and after, on motions that taught and on motions that did not."""
-    published = SimulatedRobot(simulated.robot, ())
-    table = {}
+    plain, table = SimulatedRobot(published, ()), {}
     for side, episodes in (("train", train), ("heldout", held)):
         if episodes:
             after = error_table(simulated, values, episodes, counted, until)
-            before = error_table(published, np.zeros(0), episodes, counted, until)
-            table[side] = before_and_after(after, before, perfect_tracking(published, episodes, counted, until))
+            before = error_table(plain, np.zeros(0), episodes, counted, until)
+            table[side] = before_and_after(after, before, perfect_tracking(plain, episodes, counted, until))
     return table
 
 
-def overlays(simulated: SimulatedRobot, values: np.ndarray, episodes: Sequence[Episode], until: float | None) -> pa.Table:
+def overlays(
+    simulated: SimulatedRobot, values: np.ndarray, published: RobotModel, episodes: Sequence[Episode], until: float | None
+) -> pa.Table:
     """Measured, commanded and simulated positions of every motion, for pictures: episode, time, and a list over the joints each."""
     windows = whole(episodes, until)
-    after, before = replayed(simulated, values, windows), replayed(SimulatedRobot(simulated.robot, ()), np.zeros(0), windows)
+    after, before = replayed(simulated, values, windows), replayed(SimulatedRobot(published, ()), np.zeros(0), windows)
     joints = len(simulated.robot.joints)
 
     def lists(parts: Sequence[np.ndarray]) -> pa.Array:
         flat = np.nan_to_num(np.concatenate(parts)).astype(np.float32).ravel()
         return pa.FixedSizeListArray.from_arrays(pa.array(flat, pa.float32()), joints)
 
-    commanded = [
-        w.episode.command[
-            np.maximum(np.searchsorted(w.episode.command_times, w.episode.times[w.first : w.last + 1] + 1e-9, side="right") - 1, 0)
-        ]
-        for w in windows
-    ]
     names = pa.array([w.episode.name for w in windows for _ in range(len(w.times))])
     clock = pa.array(np.concatenate([w.times for w in windows]))
-    columns = {"measured": [w.measured for w in windows], "command": commanded, "before": before, "after": after}
+    columns = {
+        "measured": [w.measured for w in windows],
+        "command": [commanded(w) for w in windows],
+        "before": before,
+        "after": after,
+    }
     return pa.table({"episode": names, "time": clock, **{name: lists(parts) for name, parts in columns.items()}})
 
 
@@ -253,5 +255,5 @@ def sources(config: FitConfig) -> Mapping[str, Source]:
 
 
 ENTRY = Stage(
-    name="fit", version=22, needs=needs, config=FitConfig, run=run, sources=sources, numerics=("mujoco", "scipy", "cma", "torch")
+    name="fit", version=23, needs=needs, config=FitConfig, run=run, sources=sources, numerics=("mujoco", "scipy", "cma", "torch")
 )
