@@ -14,6 +14,7 @@ from edream.calibration.gripping import gripping
 from edream.calibration.moves import check_moves
 from edream.calibration.pose_objective import PoseObjective
 from edream.calibration.problem import FitResult, Fitter, FitterOptions, Problem
+from edream.calibration.reservations import reservations
 from edream.calibration.settings import RobotSettings, SpaceSettings, scored, simulated_robot, space_of
 from edream.calibration.split import split_motions
 from edream.calibration.surrogate import Surrogate
@@ -103,7 +104,7 @@ def run(inputs: Mapping[str, Artifact], config: FitConfig, work: Work) -> Bundle
     result = {**result, "simulations": result["simulations"] + objective.simulations - before}
     error = errors(simulated, values, published, train, held, counted, settings.until)
     model = emit(simulated, values, beside=published)
-    summary = _summary(worth, error, result, held, settings, inputs)
+    summary = _summary(worth, error, result, train, held, settings, inputs)
     bundle: dict[str, Any] = {MODEL: model.mjcf, **model.files}
     if grip.joints:
         summary["grips"] = grip.joints
@@ -214,6 +215,7 @@ def _summary(
     worth: Worth,
     error: Mapping[str, Any],
     result: Mapping[str, Any],
+    train: Sequence[Episode],
     held: Sequence[Episode],
     settings: FitSettings,
     inputs: Mapping[str, Artifact],
@@ -232,7 +234,7 @@ def _summary(
         "converged": result["converged"],
         "simulations": result["simulations"] + swept,
         "parameters": {name: asdict(estimate) for name, estimate in worth.estimates.items()},
-        "open": [direction.sentence for direction in worth.directions],
+        "open": reservations(worth, error, len(train)),
         "comparison": comparison(judge),
         "error": error,
     }
@@ -255,5 +257,5 @@ def sources(config: FitConfig) -> Mapping[str, Source]:
 
 
 ENTRY = Stage(
-    name="fit", version=23, needs=needs, config=FitConfig, run=run, sources=sources, numerics=("mujoco", "scipy", "cma", "torch")
+    name="fit", version=24, needs=needs, config=FitConfig, run=run, sources=sources, numerics=("mujoco", "scipy", "cma", "torch")
 )
