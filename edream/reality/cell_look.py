@@ -1,5 +1,6 @@
 """How the workcell looks in reality: its own textures, a lamp with shadows, cameras a little elsewhere, blur and noise."""
 
+import weakref
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -148,6 +149,8 @@ class Lens:
         self._view.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = 1
         self._from.type = mujoco.mjtCamera.mjCAMERA_FIXED
         self._rectangle, self._image = mujoco.MjrRect(0, 0, width, height), np.zeros((height, width, 3), np.uint8)
+        self._freeing = weakref.finalize(self, _free, self._gl, self._context)
+        self._freeing.atexit = False
         self.begin(0)
 
     def begin(self, seed: int) -> None:
@@ -177,7 +180,12 @@ class Lens:
         return out
 
     def close(self) -> None:
-        """Free the graphics context."""
-        self._gl.make_current()
-        self._context.free()
-        self._gl.free()
+        """Free the graphics context; one that is forgotten unclosed is freed as well."""
+        self._freeing()
+
+
+def _free(gl: gl_context.GLContext, context: mujoco.MjrContext) -> None:
+    """What is freed goes by its number in the context that is current, which may be another lens's."""
+    gl.make_current()
+    context.free()
+    gl.free()

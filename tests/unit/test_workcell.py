@@ -1,5 +1,7 @@
 """Worlds: what they show, that they repeat themselves, and that reality moves among things as it moves alone."""
 
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +23,7 @@ from edream.sim.robot import RobotModel
 from edream.sim.workcell import SimulatedWorkcell
 from tests.workcells import hidden, robot, task
 
+ROOT = Path(__file__).parents[2]
 VIEWS = ("cam_high", "cam_side", "wrist")
 
 
@@ -51,6 +54,23 @@ def test_reality_repeats_itself_bit_for_bit(rendering: None) -> None:
     one = seen_in(world, 5)
     seen_in(world, 6)
     assert all(np.array_equal(a, b) for a, b in zip(one, seen_in(world, 5), strict=True))
+
+
+def test_a_reality_that_is_forgotten_unclosed_spoils_none_after_it(rendering: None) -> None:
+    """In a process of its own: a graphics context that another test has left would hide it."""
+    script = """
+from edream.reality.cell_look import CellLook
+from edream.reality.workcell import RealWorkcell
+from edream.sim.camera import graphics
+from tests.workcells import hidden, robot, task
+with graphics():
+    for _ in range(3):
+        world = RealWorkcell(robot(), hidden(), task(), look=CellLook(("cam_high",), 32, 32))
+        print(world.reset(5).images["cam_high"].tobytes().hex())
+"""
+    told = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, timeout=120)
+    images = told.stdout.split()
+    assert len(images) == 3 and len(set(images)) == 1, told.stderr
 
 
 def test_reality_shows_the_same_whether_or_not_one_looked_before_and_nothing_of_what_is_over(rendering: None) -> None:
