@@ -184,7 +184,7 @@ class Lens:
         self._freeing()
 
 
-def _free(gl: gl_context.GLContext, context: mujoco.MjrContext) -> None:
+def _free(gl: Any, context: mujoco.MjrContext) -> None:
     """What is freed goes by its number in the context that is current, which may be another lens's."""
     gl.make_current()
     context.free()
