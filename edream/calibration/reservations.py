@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from edream.calibration.worth import Worth
+from edream.calibration.worth import Estimate, Worth
 
 
 def reservations(worth: Worth, error: Mapping[str, Any], motions: int) -> list[str]:
@@ -15,7 +15,7 @@ def reservations(worth: Worth, error: Mapping[str, Any], motions: int) -> list[s
         motions: how many the numbers were fitted to.
     """
     said = [direction.sentence for direction in worth.directions]
-    ends = [f"{name} ({one.value:.3g} {one.unit})" for name, one in worth.estimates.items() if one.status == "at_bound"]
+    ends = [f"{name} ({one.value:.3g} {one.unit})" for name, one in worth.estimates.items() if _at_an_end(one)]
     if ends:
         said.append(
             f"{', '.join(ends)} {'stands' if len(ends) == 1 else 'stand'} at the end of what was searched, as numbers do that make "
@@ -30,6 +30,11 @@ def reservations(worth: Worth, error: Mapping[str, Any], motions: int) -> list[s
                 "joints share their numbers (robot.ties), or name fewer effects (robot.effects)."
             )
     return said
+
+
+def _at_an_end(one: Estimate) -> bool:
+    """Whether a number stands at the end of its range; one of nothing, such as no dry friction, may well be true."""
+    return one.status == "at_bound" and not (one.low == 0.0 and one.value < 0.5 * one.high)
 
 
 def _counted(count: int, noun: str) -> str:

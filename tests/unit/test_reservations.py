@@ -25,6 +25,11 @@ def test_a_number_at_its_bound_is_named_with_what_to_do() -> None:
     assert said.startswith("constant_torque.torque[joint4] (1.64 N m) stands at the end") and "edream diagnose" in said
 
 
+def test_a_robot_without_dry_friction_is_believed() -> None:
+    none = Estimate(0.0, "N m", (0.0, 0.01), "at_bound", (), 0.0, 2.0, 0.3)
+    assert reservations(Worth({"coulomb.torque[joint4]": none}, np.eye(1), (), 0.0), error(0.01, 0.001), 5) == []
+
+
 @pytest.mark.parametrize(("motions", "counted"), [(1, "1 number from 1 motion may"), (5, "1 number from 5 motions may")])
 def test_motions_never_seen_that_got_worse_are_owned_up_to(motions: int, counted: str) -> None:
     (said,) = reservations(worth("converged"), error(0.0026, 0.0041), motions)
