@@ -16,6 +16,7 @@ SMALL = 10  # numbers at most, with which that costs little
 BRIEF = 120.0  # s of motion, up to which trying is cheap
 LENGTHS = (1.0, 0.3)  # of a step
 REAL_GAP = 1.8  # floors of error that are a gap worth a name
+AT_THE_FLOOR = 1.2  # floors of error on motions never fitted that are still called agreement
 HALF = 0.5  # of the squared gap: a name that closes less of a real one may be a stand-in
 MATERIAL = 0.05  # of the gap at first, in root-mean-square error, that an effect beside others must close
 ASTRAY = 1.2  # times the fit's own error: a motion left out that is so much worse may say more about the step than about the model
@@ -86,6 +87,14 @@ def bootstrap(gain: Float[np.ndarray, "M"], seed: int) -> tuple[float, float]:
 def is_real(problem: Problem, errors: Float[np.ndarray, "M"]) -> bool:
     """Whether errors on motions left out are a gap that is worth a name."""
     return float(errors.mean()) > (REAL_GAP * problem.floor) ** 2
+
+
+def agreement(error: float, floor: float) -> str:
+    """What to say where nothing is named: of the error on motions never fitted, beside the smallest that motions can show [rad]."""
+    if error <= AT_THE_FLOOR * floor:
+        return "Your simulator agrees with these recordings down to their noise; nothing is missing that they could show."
+    left = f"{1e3 * error:.2g} mrad on motions never fitted, where noise and repetition explain {1e3 * floor:.2g}"
+    return f"Your simulator nearly agrees with these recordings: {left}. That is too little to say what is missing, if anything is."
 
 
 def falls_short(problem: Problem, first: Float[np.ndarray, "M"], left: Float[np.ndarray, "M"]) -> bool:

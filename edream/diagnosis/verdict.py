@@ -14,7 +14,7 @@ from edream.diagnosis.backward import backward, refitted_without
 from edream.diagnosis.candidates import Candidate, placement
 from edream.diagnosis.decide import ALIKE, Round, forward, rivals
 from edream.diagnosis.descent import Fit, polish
-from edream.diagnosis.left_out import REAL_GAP, bootstrap, falls_short, is_real, left_out_errors, proof_errors
+from edream.diagnosis.left_out import REAL_GAP, agreement, bootstrap, falls_short, is_real, left_out_errors, proof_errors
 from edream.diagnosis.nuisance import fit_nuisance, published, with_shares
 from edream.diagnosis.problem import Problem, nuisance_placements
 from edream.diagnosis.remainder import Remainder, find_remainder
@@ -142,10 +142,12 @@ def diagnose(problem: Problem, done: Callable[[str, int], object] = lambda text,
         more = f" and {len(also) - 1} more" if len(also) > 1 else ""
         ladder.append((f"+ {also[0]}{more}", np.sqrt(proof_errors(problem, fit))))
     after = np.sqrt(proof_errors(problem, fit))
+    agrees = verdict == "none"
+    said = agreement(rms(after), problem.floor) if agrees else sentence(verdict, effects, remainder, problem.robot.joints)
     return Diagnosis(
         problem=problem,
         verdict=verdict,
-        sentence=sentence(verdict, effects, remainder, problem.robot.joints) + on_steps(problem),
+        sentence=said + on_steps(problem),
         effects=tuple(effects),
         before=before,
         after=fit,
@@ -355,9 +357,7 @@ def judge(effects: Sequence[Named], remainder: Remainder | None, short: bool) ->
 
 
 def sentence(verdict: Verdict, effects: Sequence[Named], remainder: Remainder | None, joints: Sequence[str]) -> str:
-    """The outcome in words that a roboticist uses; `joints` are all that the robot has."""
-    if verdict == "none":
-        return "Your simulator agrees with these recordings down to their noise; nothing is missing that they could show."
+    """What was found in words that a roboticist uses; `joints` are all that the robot has. `agreement` says that nothing was."""
     places: dict[str, list[str]] = {}
     for one in effects:
         places.setdefault(one.summary, []).extend(one.targets)

@@ -12,7 +12,7 @@ from edream.diagnosis.backward import refitted_without
 from edream.diagnosis.candidates import Candidate, alike, groups_of, placement
 from edream.diagnosis.decide import comes_down_to, rivals, simplest, stands, told_apart
 from edream.diagnosis.descent import Fit, begin, descend
-from edream.diagnosis.left_out import falls_short, left_out_errors
+from edream.diagnosis.left_out import agreement, falls_short, left_out_errors
 from edream.diagnosis.nuisance import fit_nuisance, published
 from edream.diagnosis.problem import Problem, Settings, credible, measurement_noise, nuisance_placements, prepare
 from edream.diagnosis.remainder import chosen_terms
@@ -199,6 +199,12 @@ def test_a_few_motions_stand_for_all_although_some_are_off_by_something_of_their
     assert representative(alone, lasts[:6], 5.0, kinds) == [0, 4, 5], (
         "the one that is off most under each set-up, whatever it lasts"
     )
+
+
+def test_agreement_is_said_only_where_little_more_than_noise_is_left() -> None:
+    assert agreement(0.40e-3, 0.393e-3).startswith("Your simulator agrees with these recordings down to their noise")
+    said = agreement(0.602e-3, 0.393e-3)
+    assert "0.6 mrad on motions never fitted" in said and "explain 0.39" in said and "down to their noise" not in said
 
 
 def test_a_real_gap_that_nothing_explains_is_not_called_agreement() -> None:
