@@ -11,7 +11,7 @@ def reservations(worth: Worth, error: Mapping[str, Any], motions: int) -> list[s
 
     Args:
         worth: the numbers found, with their intervals.
-        error: errors on `train` and, where motions were held out, `heldout`, each with those `before`.
+        error: errors on `train` and, where motions were held out, `heldout`, each with those `before`; `joint_rmse_rad` in rad.
         motions: how many the numbers were fitted to.
     """
     said = [direction.sentence for direction in worth.directions]
@@ -26,7 +26,7 @@ def reservations(worth: Worth, error: Mapping[str, Any], motions: int) -> list[s
         if after > before:
             said.append(
                 f"Motions it never saw are followed worse than before ({before:.4g} to {after:.4g} rad): "
-                f"{_counted(len(worth.estimates), 'number')} from {_counted(motions, 'motion')} may be too many. Record more, let "
+                f"{numbered(len(worth.estimates), 'number')} from {numbered(motions, 'motion')} may be too many. Record more, let "
                 "joints share their numbers (robot.ties), or name fewer effects (robot.effects)."
             )
     return said
@@ -37,5 +37,6 @@ def _at_an_end(one: Estimate) -> bool:
     return one.status == "at_bound" and not (one.low == 0.0 and one.value < 0.5 * one.high)
 
 
-def _counted(count: int, noun: str) -> str:
+def numbered(count: int, noun: str) -> str:
+    """A number of things in words: 1 motion, 3 motions."""
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"

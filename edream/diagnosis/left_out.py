@@ -90,7 +90,12 @@ def is_real(problem: Problem, errors: Float[np.ndarray, "M"]) -> bool:
 
 
 def agreement(error: float, floor: float) -> str:
-    """What to say where nothing is named: of the error on motions never fitted, beside the smallest that motions can show [rad]."""
+    """What to say where nothing is named.
+
+    Args:
+        error: root-mean-square error on motions never fitted [rad].
+        floor: what noise and repetition explain of it [rad].
+    """
     if error <= AT_THE_FLOOR * floor:
         return "Your simulator agrees with these recordings down to their noise; nothing is missing that they could show."
     left = f"{1e3 * error:.2g} mrad on motions never fitted, where noise and repetition explain {1e3 * floor:.2g}"

@@ -150,7 +150,7 @@ class Lens:
         self._from.type = mujoco.mjtCamera.mjCAMERA_FIXED
         self._rectangle, self._image = mujoco.MjrRect(0, 0, width, height), np.zeros((height, width, 3), np.uint8)
         self._freeing = weakref.finalize(self, _free, self._gl, self._context)
-        self._freeing.atexit = False
+        self._freeing.atexit = False  # at the interpreter's end the display may be gone by then
         self.begin(0)
 
     def begin(self, seed: int) -> None:

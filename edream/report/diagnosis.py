@@ -18,7 +18,7 @@ from edream.report.traces import Trace, from_rows, worst_and_median
 SMALLEST = 0.005  # share below which a candidate is not worth a word
 VERDICTS = {
     "named": "something is missing, and it has a name",
-    "none": "nothing is missing",
+    "none": "nothing that is missing shows",
     "cannot_tell": "something is missing, and these motions leave its name open",
     "unnamed": "something is missing that has no name yet",
 }

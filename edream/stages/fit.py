@@ -14,7 +14,7 @@ from edream.calibration.gripping import gripping
 from edream.calibration.moves import check_moves
 from edream.calibration.pose_objective import PoseObjective
 from edream.calibration.problem import FitResult, Fitter, FitterOptions, Problem
-from edream.calibration.reservations import reservations
+from edream.calibration.reservations import numbered, reservations
 from edream.calibration.settings import RobotSettings, SpaceSettings, scored, simulated_robot, space_of
 from edream.calibration.split import split_motions
 from edream.calibration.surrogate import Surrogate
@@ -221,7 +221,7 @@ def _summary(
     inputs: Mapping[str, Artifact],
 ) -> dict[str, Any]:
     judge = error["heldout" if held else "train"]
-    motions = "1 motion" if len(held) == 1 else f"{len(held)} motions"
+    motions = numbered(len(held), "motion")
     on = f"on {motions} it never saw" if held else "on the motions it was fitted to; none was held out"
     before, rows = judge["before"]["joint_rmse_rad"], judge["before"]["per_episode"].values()
     blown = sum(row["joint_rmse_rad"] == UNSTABLE for row in rows)
