@@ -119,11 +119,11 @@ def begin(objective: Objective, unit: Float[np.ndarray, "P"]) -> Fit:
     space = objective.simulated.space
     residual = objective.residuals(space.from_unit(unit))[0]
     slope = jacobian(objective, space, unit, residual)
-    across = (np.where(_own(objective, residual), 0.0, slope) ** 2).sum(axis=0) / np.maximum((slope**2).sum(axis=0), 1e-300)
+    across = (np.where(own_rows(objective, residual), 0.0, slope) ** 2).sum(axis=0) / np.maximum((slope**2).sum(axis=0), 1e-300)
     return Fit(objective, unit, residual, slope, worth(objective, residual), pulling=bool(across.size and across.mean() > PULLING))
 
 
-def _own(objective: Objective, residual: Float[np.ndarray, "R"]) -> Bool[np.ndarray, "R P"]:
+def own_rows(objective: Objective, residual: Float[np.ndarray, "R"]) -> Bool[np.ndarray, "R P"]:
     """Which rows of a residual are of joints that a parameter acts on."""
     return np.tile(objective.acts_on.T, (len(residual) // objective.acts_on.shape[1], 1))
 
@@ -225,5 +225,5 @@ def _own_renewed(fit: Fit, slope: Float[np.ndarray, "R P"]) -> Float[np.ndarray,
     """A Jacobian with what each parameter does to the joints that it acts on differenced anew; what it does to others as it was."""
     if fit.pulling:
         return jacobian(fit.objective, fit.space, fit.unit, fit.residual)
-    own = _own(fit.objective, fit.residual)
+    own = own_rows(fit.objective, fit.residual)
     return np.where(own, nearly(fit.objective, fit.space, fit.unit, fit.residual), slope)

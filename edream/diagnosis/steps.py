@@ -8,6 +8,7 @@ import numpy as np
 
 from edream.core.parameters import targets_in
 from edream.diagnosis.descent import Fit, descend
+from edream.diagnosis.jolt import jolted
 from edream.diagnosis.problem import VISIBLE, Problem
 from edream.sim.objective import Objective, rms
 from edream.sim.servo import share_within_limit
@@ -35,6 +36,7 @@ def with_short_steps(problem: Problem, fit: Fit) -> tuple[Problem, Fit]:
         step = float(problem.robot.model.opt.timestep) / 2.0
         objective, unit, residual = _replayed(problem, fit, step)
         found = descend(replace(fit, objective=objective, unit=unit, residual=residual, ended=False), None, iterations=3)
+        found = jolted(found, problem.shared)  # at the limit of its torque a servo may be led into another valley by its steps
         if found.rms >= WORTH * fit.rms:
             break
         problem, fit = replace(problem, robot=replace(problem.robot, step=step)), found

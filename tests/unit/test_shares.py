@@ -7,7 +7,9 @@ import pytest
 
 import edream
 from edream.core.episode import Episode
+from edream.diagnosis import nuisance
 from edream.diagnosis.descent import polish
+from edream.diagnosis.jolt import elsewhere
 from edream.diagnosis.nuisance import fit_nuisance, with_shares
 from edream.diagnosis.problem import Problem, Settings, prepare
 from edream.reality.recorder import Recorder, make_recordings
@@ -23,12 +25,15 @@ def recorded(path: Path, seed: int) -> tuple[Problem, Truth]:
     return prepare(robot, episodes, Settings()), truth
 
 
-def weak(folder: Path, limit: float) -> Path:
-    """A pan-tilt head whose servos give no more than so many N m, and damp about as much as the joints do."""
+def weak(folder: Path, limit: float, gain: float = 20.0, damping: float = 0.5) -> Path:
+    """A pan-tilt head whose servos give no more than so many N m, and damp, as published, about as much as the joints do."""
     text = (Path(edream.__file__).parent / "robots" / "pan_tilt.xml").read_text()
-    assert text.count('forcerange="-5 5"') == 2 and text.count('kv="0.5"') == 2
+    changes = {'forcerange="-5 5"': f'forcerange="-{limit} {limit}"', 'kp="20"': f'kp="{gain}"', 'kv="0.5"': f'kv="{damping}"'}
+    for before, after in changes.items():
+        assert text.count(before) == 2
+        text = text.replace(before, after)
     path = folder / "weak.xml"
-    path.write_text(text.replace('forcerange="-5 5"', f'forcerange="-{limit} {limit}"'))
+    path.write_text(text)
     return path
 
 
@@ -51,3 +56,21 @@ def test_motions_below_the_limit_leave_the_share_as_published(tmp_path: Path) ->
     usual = fit_nuisance(problem)
     same, fit = with_shares(problem, usual)
     assert same is problem and fit is usual
+
+
+def test_stiff_servos_at_their_limit_are_led_out_of_a_false_valley(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    problem, _ = recorded(weak(tmp_path, 0.6, gain=400.0, damping=2.0), 1)
+    usual = fit_nuisance(problem)
+    with monkeypatch.context() as without:
+        without.setattr(nuisance, "jolted", lambda fit, groups: fit)
+        _, stuck = with_shares(problem, usual)
+    shared, fit = with_shares(problem, usual)
+    assert stuck.rms > 4.0 * problem.floor, "the plain descent must end in a false valley"
+    assert fit.rms < 0.5 * stuck.rms
+    assert all(0.0 <= number <= 1.0 for number in fit.unit)
+    assert elsewhere(fit, ()) is None
+    place = elsewhere(stuck, shared.shared)
+    assert place is not None
+    changed = np.flatnonzero(place != stuck.unit)
+    names = [stuck.space.names[k] for k in changed]
+    assert all(sum(joint in name for name in names) <= 1 for joint in ("pan", "tilt")), "one number a joint"
