@@ -221,6 +221,8 @@ def _hasten(model: mujoco.MjModel, clear: bool) -> None:
     friction_alone = not (model.neq or model.ntendon or model.nflex) and (clear or not (model.npair or _may_touch(model)))
     if friction_alone and model.opt.solver == mujoco.mjtSolver.mjSOL_NEWTON:
         model.opt.solver = mujoco.mjtSolver.mjSOL_PGS
+    if model.ntree == 1:  # one island, which need not be looked for
+        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND
 
 
 def _may_touch(model: mujoco.MjModel) -> bool:

@@ -1,4 +1,4 @@
-"""Searches solve dry friction by Gauss-Seidel: the same motion as Newton's, and only where friction is all there is to solve."""
+"""Searches solve dry friction by Gauss-Seidel: Newton's motion, and only where friction is all there is; one tree is one island."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -16,6 +16,7 @@ from edream.sim.window import whole
 
 ARM = load_robot(Path(__file__).resolve().parents[2] / "edream" / "robots" / "arm6.xml", site="ee")
 NEWTON, PGS = int(mujoco.mjtSolver.mjSOL_NEWTON), int(mujoco.mjtSolver.mjSOL_PGS)
+ISLAND = int(mujoco.mjtDisableBit.mjDSBL_ISLAND)
 
 
 def rubbing(robot: RobotModel = ARM) -> SimulatedRobot:
@@ -60,3 +61,18 @@ def test_a_model_that_can_touch_something_keeps_its_solver(tmp_path: Path) -> No
 def test_a_model_with_a_slack_gear_keeps_its_solver() -> None:
     backlash = Placement(catalog.load("effects", "backlash", Effect), (ARM.joints[0],))
     assert SimulatedRobot(ARM, (backlash,)).swift.model.opt.solver == NEWTON
+
+
+def test_the_one_island_of_a_tree_is_not_looked_for_and_moves_to_the_last_bit_as_it_did(tmp_path: Path) -> None:
+    own, looked = rubbing().swift, rubbing().swift
+    looked.model.opt.disableflags &= ~ISLAND
+    assert int(own.model.opt.disableflags) & ISLAND and own.model.ntree == 1
+    values, windows = own.space.start()[None], whole([waving()])
+    quick, slow = (rollout(one, values, windows, threads=1)[0] for one in (own, looked))
+    assert np.ptp(slow) > 0.1
+    np.testing.assert_array_equal(quick, slow)
+    links = "".join(f"<body name='b{n}'><joint name='j{n}'/><geom size='0.1' pos='0.2 0 0'/></body>" for n in range(2))
+    servos = "".join(f"<position joint='j{n}' kp='1'/>" for n in range(2))
+    path = tmp_path / "two.xml"
+    path.write_text(f"<mujoco><worldbody>{links}</worldbody><actuator>{servos}</actuator></mujoco>")
+    assert not int(rubbing(load_robot(path)).swift.model.opt.disableflags) & ISLAND
