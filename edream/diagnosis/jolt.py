@@ -20,6 +20,10 @@ def jolted(fit: Fit, groups: Sequence[tuple[str, ...]]) -> Fit:
     A servo that gives all it has one way or the other moves its joint by the moments at which it turns over, which jump as its
     numbers change: a descent ends in the first of many valleys. One number of a joint at a time is put up to a standard deviation
     away, that of all groups at once, since joints hardly matter to each other; each takes its best place.
+
+    Args:
+        fit: the end of a descent.
+        groups: joints that share their numbers, each tuple one group, whose servos reach the limit of their torque.
     """
     for _ in range(ROUNDS):
         place = elsewhere(fit, groups)
