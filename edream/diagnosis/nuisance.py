@@ -1,13 +1,10 @@
 """The first fit: what every real robot has, found before anything is called missing."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float
 
 from edream.diagnosis.descent import Fit, begin, descend
-from edream.diagnosis.jolt import jolted
 from edream.diagnosis.left_out import leaves_no_gap
 from edream.diagnosis.problem import CREDIBLE_FACTOR, VISIBLE, Problem, nuisance_placements
 from edream.sim.beginning import beginning
@@ -51,8 +48,7 @@ def with_shares(problem: Problem, fit: Fit) -> tuple[Problem, Fit]:
     """The problem and its fit, the servo's share of a joint's damping a number of its own wherever the motions tell it.
 
     What the servo damps counts towards the limit of its torque, what the joint damps does not. Only motions that reach the limit
-    tell the two apart: there half the share's usual spread moves the robot by what can be seen. There the error is rough, too, and
-    valleys beside the one that was found are looked into.
+    tell the two apart: there half the share's usual spread moves the robot by what can be seen.
     """
     if "viscous" not in problem.settings.nuisance:
         return problem, fit
@@ -68,18 +64,9 @@ def with_shares(problem: Problem, fit: Fit) -> tuple[Problem, Fit]:
         return problem, fit
     problem = replace(problem, shared=told)
     simulated = SimulatedRobot(problem.robot, nuisance_placements(problem, found))
-    published_there = simulated.space.start()
-    start = simulated.space.vector(simulated.space.mapping(published_there) | found)
-    fit = _from(replace(fit.objective, simulated=simulated), start, told)
-    if fit.rms > FAR * problem.floor:
-        fit = min(fit, _from(fit.objective, published_there, told), key=lambda one: one.rms)
-    return problem, fit
-
-
-def _from(objective: Objective, values: Float[np.ndarray, "P"], groups: Sequence[tuple[str, ...]]) -> Fit:
-    """The fit that lies down the valleys from some values, where servos of some groups reach their limits."""
-    near = begin(objective, objective.simulated.space.to_unit(values))
-    return jolted(descend(near, None, iterations=8), groups)
+    start = simulated.space.vector({p.name: p.start for p in simulated.space.parameters} | found)
+    near = begin(replace(fit.objective, simulated=simulated), simulated.space.to_unit(start))
+    return problem, descend(near, None, iterations=8)
 
 
 def calibrated(objective: Objective) -> Fit:

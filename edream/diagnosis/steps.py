@@ -7,8 +7,8 @@ import mujoco
 import numpy as np
 
 from edream.core.parameters import targets_in
+from edream.diagnosis.coordinate_search import coordinate_search
 from edream.diagnosis.descent import Fit, descend
-from edream.diagnosis.jolt import jolted
 from edream.diagnosis.problem import VISIBLE, Problem
 from edream.sim.objective import Objective, rms
 from edream.sim.servo import share_within_limit
@@ -28,15 +28,22 @@ def with_short_steps(problem: Problem, fit: Fit) -> tuple[Problem, Fit]:
     The error of MuJoCo's integrators (all but Runge-Kutta) goes with the step h. Much of it is what other numbers would do: a
     command acts half a step early, which on smooth motions more damping makes up for, and a damping d acts half a step late, which
     less inertia would make up for (`moved`). What is left is no effect of the robot's, and must not be taken for one: steps are
-    halved as long as that closes a tenth of a visible error.
+    halved as long as that closes a tenth of a visible error. Where that leaves a gap and servos reach their limits, the numbers may
+    stand in a false valley: they are led out of it, and from there steps are halved again.
     """
+    problem, fit = _halved(problem, fit)
+    found = coordinate_search(problem, fit)
+    return (problem, fit) if found is fit else _halved(problem, found)
+
+
+def _halved(problem: Problem, fit: Fit) -> tuple[Problem, Fit]:
+    """The problem and its fit with steps halved while that is worth it."""
     for _ in range(HALVINGS):
         if not may_tell(problem, fit):
             break
         step = float(problem.robot.model.opt.timestep) / 2.0
         objective, unit, residual = _replayed(problem, fit, step)
         found = descend(replace(fit, objective=objective, unit=unit, residual=residual, ended=False), None, iterations=3)
-        found = jolted(found, problem.shared)  # at the limit of its torque a servo may be led into another valley by its steps
         if found.rms >= WORTH * fit.rms:
             break
         problem, fit = replace(problem, robot=replace(problem.robot, step=step)), found

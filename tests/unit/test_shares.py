@@ -7,11 +7,12 @@ import pytest
 
 import edream
 from edream.core.episode import Episode
-from edream.diagnosis import nuisance
+from edream.diagnosis import steps
+from edream.diagnosis.coordinate_search import best_along_coordinates, coordinate_search
 from edream.diagnosis.descent import polish
-from edream.diagnosis.jolt import elsewhere
 from edream.diagnosis.nuisance import fit_nuisance, with_shares
 from edream.diagnosis.problem import Problem, Settings, prepare
+from edream.diagnosis.steps import with_short_steps
 from edream.reality.recorder import Recorder, make_recordings
 from edream.reality.truth import Truth, draw
 from edream.sim.robot import load_robot
@@ -60,17 +61,15 @@ def test_motions_below_the_limit_leave_the_share_as_published(tmp_path: Path) ->
 
 def test_stiff_servos_at_their_limit_are_led_out_of_a_false_valley(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     problem, _ = recorded(weak(tmp_path, 0.6, gain=400.0, damping=2.0), 1)
-    usual = fit_nuisance(problem)
+    shared, usual = with_shares(problem, fit_nuisance(problem))
     with monkeypatch.context() as without:
-        without.setattr(nuisance, "jolted", lambda fit, groups: fit)
-        _, stuck = with_shares(problem, usual)
-    shared, fit = with_shares(problem, usual)
+        without.setattr(steps, "coordinate_search", lambda problem, fit: fit)
+        _, stuck = with_short_steps(shared, usual)
+    _, fit = with_short_steps(shared, usual)
     assert stuck.rms > 4.0 * problem.floor, "the plain descent must end in a false valley"
     assert fit.rms < 0.5 * stuck.rms
-    assert all(0.0 <= number <= 1.0 for number in fit.unit)
-    assert elsewhere(fit, ()) is None
-    place = elsewhere(stuck, shared.shared)
+    assert coordinate_search(problem, stuck) is stuck, "no group of these is said to reach its limit"
+    place = best_along_coordinates(shared, stuck)
     assert place is not None
-    changed = np.flatnonzero(place != stuck.unit)
-    names = [stuck.space.names[k] for k in changed]
+    names = [stuck.space.names[k] for k in np.flatnonzero(place != stuck.unit)]
     assert all(sum(joint in name for name in names) <= 1 for joint in ("pan", "tilt")), "one number a joint"
