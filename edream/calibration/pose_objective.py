@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
 from edream.calibration.pose import Chain
+from edream.sim.objective import STEP
 from edream.sim.rollout import rollout
 from edream.sim.simulation import SimulatedRobot
 from edream.sim.window import Window
@@ -34,6 +35,7 @@ class PoseObjective:
     threads: int = 0
     rotation: Literal["geodesic", "arcsin"] = "geodesic"
     simulations: int = field(default=0)
+    step: float = STEP
 
     @cached_property
     def chain(self) -> Chain:

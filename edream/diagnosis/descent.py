@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 from scipy.optimize import lsq_linear
 
 from edream.core.parameters import ParameterSpace
-from edream.sim.differences import STEP, blocks, jacobian, jacobian_along_axes, nearly, straight
+from edream.sim.differences import blocks, inwards, jacobian, jacobian_along_axes, nearly, straight
 from edream.sim.least_squares import worth
 from edream.sim.objective import Objective, rms
 from edream.sim.polish import coupled
@@ -214,7 +214,7 @@ def _moved(fit: Fit, unit: np.ndarray, residual: np.ndarray, fresh: np.ndarray |
     if fresh is None:
         jac = _own_renewed(replace(fit, unit=unit, residual=residual), jac)
     elif fresh.any():
-        steps = np.where(unit + STEP <= 1.0, STEP, -STEP)
+        steps = inwards(fit.objective, unit)
         chosen = np.flatnonzero(fresh)
         moved = fit.objective.residuals(fit.space.from_unit(unit + np.diag(steps)[chosen]))
         jac[:, chosen] = ((moved - residual) / steps[chosen, None]).T

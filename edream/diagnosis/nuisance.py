@@ -8,6 +8,7 @@ from edream.diagnosis.descent import Fit, begin, descend
 from edream.diagnosis.left_out import leaves_no_gap
 from edream.diagnosis.problem import CREDIBLE_FACTOR, VISIBLE, Problem, nuisance_placements
 from edream.sim.beginning import beginning
+from edream.sim.differences import with_straight_step
 from edream.sim.least_squares import worth
 from edream.sim.objective import Objective, rms
 from edream.sim.polish import finish, polish_in_stages
@@ -30,7 +31,9 @@ def fit_nuisance(problem: Problem) -> Fit:
     """Gain, damping, dry friction and inertia of every group of joints, first without priors, then with those that are credible."""
     bare = SimulatedRobot(problem.robot, nuisance_placements(problem))
     objective = replace(published(problem), simulated=bare)
-    first = descend(begin(objective, bare.space.to_unit(beginning(objective))), None, iterations=8, tolerance=0.01)
+    start = bare.space.to_unit(beginning(objective))
+    objective = with_straight_step(objective, np.clip(start, 0.0, 1.0))
+    first = descend(begin(objective, start), None, iterations=8, tolerance=0.01)
     if not leaves_no_gap(problem, first):  # numbers that sank may have sunk by mistake
         first = raised(first)
     if first.rms > FAR * problem.floor and not credible(first):

@@ -26,7 +26,7 @@ from edream.diagnosis.screen import (
 )
 from edream.diagnosis.side_by_side import side_by_side
 from edream.diagnosis.steps import with_long_steps
-from edream.sim.differences import STEP
+from edream.sim.differences import inwards
 from edream.sim.least_squares import worth
 from edream.sim.objective import Objective, rms
 from edream.sim.simulation import Placement, SimulatedRobot
@@ -99,7 +99,8 @@ def try_best(
     hopeful = [pair for pair, gain in zip(begun, gained, strict=True) if gain >= HOPELESS * gained[0]][:FINISHED]
     # what the score test says most for may only begin slowly: a payload has four numbers, beside some that have made up for it
     hopeful += [pair for pair in begun if pair[1] is scored[0] and pair not in hopeful]
-    trials = side_by_side(lambda pair: judged(problem, gone_on(fit, pair[0]), errors, pair[1]), hopeful, threads)
+    anew = {one: joints_astray(problem, fit, one.candidate) for _, one in hopeful}
+    trials = side_by_side(lambda pair: judged(problem, gone_on(fit, pair[0], anew[pair[1]]), errors, pair[1]), hopeful, threads)
     return sorted(trials, key=lambda t: -t.closed)
 
 
@@ -116,6 +117,11 @@ def leaves_little(problem: Problem, trial: Trial) -> bool:
 def on_few(problem: Problem, fit: Fit) -> Fit:
     """The fit on as much motion as shows which candidates are worth a search, in long steps; as it is where that costs little."""
     return fit if is_small(fit) else lightened(problem, fit)
+
+
+def joints_astray(problem: Problem, fit: Fit, candidate: Candidate) -> frozenset[str]:
+    """A candidate's joints, where their usual numbers may stand in a false valley without it: far off, at the servos' limits."""
+    return acted_on(candidate) if problem.shared and far_off(problem, fit) else frozenset()
 
 
 def gone_on(fit: Fit, near: Fit, joints: frozenset[str] = frozenset()) -> Fit:
@@ -256,7 +262,8 @@ def refit(problem: Problem, fit: Fit, errors: Float[np.ndarray, "M"], scored: Sc
 def refitted(problem: Problem, fit: Fit, scored: Scored, iterations: int, joints: frozenset[str] = frozenset()) -> Fit:
     """The model with one candidate, some steps from where the score test puts it, in whichever of its shapes promises most.
 
-    From far off it begins beside the published numbers, where that is nearer than beside those that were fitted without it. What
+    From far off it begins beside the published numbers, where that is nearer than beside those that were fitted without it; where
+    servos reach their limits, from both, since no descent leaves the false valley that those may stand in. What
     the usual numbers do is taken from the fit without it, and followed by Broyden's update, but for those of `joints`, which are
     differenced with it: beside a lag, inertia and damping do something else.
     """
@@ -264,13 +271,18 @@ def refitted(problem: Problem, fit: Fit, scored: Scored, iterations: int, joints
     extended, absent = extend(fit, [place])
     starts = [with_quantities(extended, absent, [place], [one]) for one in shapes(problem, place, scored.start)]
     best = int(np.argmin(unexplained_by(fit)(extended.residuals(np.array(starts))))) if len(starts) > 1 else 0
+    apart: list[Fit] = []
     if far_off(problem, fit):
         plain = beside_published(problem, place, extended, absent)
         away = [rms(r) for r in extended.residuals(np.array([starts[best], *plain]))]
-        if min(away) < away[0]:
-            return descend_beside_published(fit, extended, plain[int(np.argmin(away)) - 1], scored.candidate, iterations)
+        nearest, nearer = plain[int(np.argmin(away[1:]))], min(away) < away[0]
+        if nearer or problem.shared:
+            apart = [descend_beside_published(fit, extended, nearest, scored.candidate, iterations)]
+        if nearer:
+            return apart[0]
     fresh = fresh_columns(fit, extended) | of_joints(extended, joints)
-    return descend(with_column(fit, extended, starts[best], fresh), fresh, iterations)
+    beside_fitted = descend(with_column(fit, extended, starts[best], fresh), fresh, iterations)
+    return min([beside_fitted, *apart], key=lambda one: one.rms)
 
 
 def descend_beside_published(
@@ -358,7 +370,7 @@ def with_column(fit: Fit, extended: Objective, start: Float[np.ndarray, "P"], fr
     space = extended.simulated.space
     unit = np.clip(space.to_unit(start), 0.0, 1.0)
     new = np.flatnonzero(fresh_columns(fit, extended) if fresh is None else fresh)
-    steps = np.where(unit + STEP <= 1.0, STEP, -STEP)
+    steps = inwards(extended, unit)
     residuals = extended.residuals(space.from_unit(np.vstack([unit, unit + np.diag(steps)[new]])))
     slope = np.hstack([fit.jacobian, np.zeros((len(residuals[0]), len(unit) - len(fit.unit)))])
     slope[:, new] = ((residuals[1:] - residuals[0]) / steps[new, None]).T

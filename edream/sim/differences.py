@@ -1,27 +1,56 @@
 """Jacobians by differences of simulations, all of one Jacobian in one batch."""
 
+from dataclasses import replace
+
 import numpy as np
 from jaxtyping import Bool, Float
 
 from edream.core.parameters import ParameterSpace
 from edream.sim.objective import Objective
 
-STEP = 2e-3  # of the unit box: large enough to cross the kinks of dry friction, small enough to be a derivative
-WIDE = 6e-3  # of the unit box, to either side: where kinks matter more than curvature, at the end of a fit
-FAR = 0.06  # of the unit box: the longest difference along a direction that hardly shows
+WIDE = 3.0  # steps, to either side: where kinks matter more than curvature, at the end of a fit
+FAR = 30.0  # steps: the longest difference along a direction that hardly shows
+FINE = 3e-4  # of the unit box: for a robot that moves otherwise within a step
+STRAIGHT = 0.985  # the cosine between what a step forwards and one backwards do, from which they are one slope
+
+
+def with_straight_step(objective: Objective, unit: Float[np.ndarray, "P"]) -> Objective:
+    """The objective with fine differences where its usual ones are no slope: forwards they say other than backwards.
+
+    Servos that give all they have one way or the other turn over at moments that move with every number, and what a joint does
+    after one bends within a usual step. A robot whose servos keep within their limits has cosines of 0.998 and more.
+    """
+    space, acts = objective.simulated.space, objective.acts_on
+    base = objective.residuals(space.from_unit(unit))[0]
+    ahead, behind = (nearly(objective, space, unit, base, side) for side in (1.0, -1.0))
+    inside = (unit >= objective.step) & (unit <= 1.0 - objective.step) & acts.any(axis=1)
+    length = np.linalg.norm(ahead, axis=0) * np.linalg.norm(behind, axis=0)
+    cosines = ((ahead * behind).sum(axis=0) / np.maximum(length, 1e-300))[inside & (length > 0.0)]
+    bends = bool(cosines.size) and float(np.median(cosines)) < STRAIGHT
+    return replace(objective, step=FINE) if bends else objective
 
 
 def jacobian(
     objective: Objective, space: ParameterSpace, unit: Float[np.ndarray, "P"], base: Float[np.ndarray, "R"]
 ) -> Float[np.ndarray, "R P"]:
     """Forward differences in the unit box, each towards the inside, all simulated in one batch."""
-    steps = np.where(unit + STEP <= 1.0, STEP, -STEP)
+    steps = inwards(objective, unit)
     moved = objective.residuals(space.from_unit(unit + np.diag(steps)))
     return ((moved - base) / steps[:, None]).T
 
 
+def inwards(objective: Objective, unit: Float[np.ndarray, "P"], side: float = 1.0) -> Float[np.ndarray, "P"]:
+    """How far each parameter is moved for a difference: the objective's step to the one side, or to the other where that is out."""
+    step = side * objective.step
+    return np.where((unit + step >= 0.0) & (unit + step <= 1.0), step, -step)
+
+
 def nearly(
-    objective: Objective, space: ParameterSpace, unit: Float[np.ndarray, "P"], base: Float[np.ndarray, "R"]
+    objective: Objective,
+    space: ParameterSpace,
+    unit: Float[np.ndarray, "P"],
+    base: Float[np.ndarray, "R"],
+    side: float = 1.0,
 ) -> Float[np.ndarray, "R P"]:
     """The Jacobian as if a parameter of one joint moved that joint alone: those of different joints share a simulation.
 
@@ -31,7 +60,7 @@ def nearly(
     """
     acts = objective.acts_on
     groups = sharing(acts)
-    steps = np.where(unit + STEP <= 1.0, STEP, -STEP)
+    steps = inwards(objective, unit, side)
     moves = np.array([np.where(np.isin(np.arange(len(unit)), group), steps, 0.0) for group in groups])
     moved = objective.residuals(space.from_unit(unit + moves)) - base
     slope = np.zeros((len(base), len(unit)))
@@ -86,7 +115,7 @@ def jacobian_along_axes(
     for group in groups:
         curvature, axes = np.linalg.eigh(hessian[np.ix_(group, group)])
         curvature = np.maximum(curvature, 1e-12 * curvature[-1])
-        reach = np.clip(WIDE * np.sqrt(np.median(curvature) / curvature), WIDE, FAR)
+        reach = objective.step * np.clip(WIDE * np.sqrt(np.median(curvature) / curvature), WIDE, FAR)
         moves = np.zeros((len(group), len(unit)))
         moves[:, group] = (axes * reach).T
         for side, sign in enumerate((1.0, -1.0)):

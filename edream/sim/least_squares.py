@@ -7,7 +7,7 @@ from jaxtyping import Float
 from scipy.optimize import least_squares
 
 from edream.core.parameters import ParameterSpace
-from edream.sim.differences import STEP, jacobian, nearly, sharing
+from edream.sim.differences import jacobian, nearly, sharing
 from edream.sim.objective import Objective, rms
 
 REFRESH = 3
@@ -58,7 +58,7 @@ class Slopes:
         else:
             there, before, slope = self._last
             step = unit - there
-            if np.linalg.norm(step) >= STEP:  # a shorter step sees the kinks of dry friction, not the slope
+            if np.linalg.norm(step) >= self._objective.step:  # a shorter step sees the kinks of dry friction, not the slope
                 slope = slope + np.outer((residual - before - slope @ step) / (step @ step), step)
         self._count += 1
         self._last = (unit.copy(), residual, slope)

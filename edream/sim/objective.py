@@ -11,6 +11,7 @@ from edream.sim.rollout import rollout
 from edream.sim.simulation import SimulatedRobot
 from edream.sim.window import Window
 
+STEP = 2e-3  # of the unit box: large enough to cross the kinks of dry friction, small enough to be a derivative
 UNSTABLE_RESIDUAL = 10.0  # rad; what a row counts once its simulation has blown up
 
 
@@ -25,6 +26,7 @@ class Objective:
         stride: every how many measurements one counts.
         threads: simulation threads, 0 for all.
         simulations: windows simulated so far, over all calls.
+        step: of differences, in the unit box.
         offset: what is added to every residual [rad], such as what shorter steps would make of it, (R,); None for nothing.
     """
 
@@ -34,6 +36,7 @@ class Objective:
     stride: int = 1
     threads: int = 0
     simulations: int = field(default=0)
+    step: float = STEP
     offset: Float[np.ndarray, "R"] | None = None
 
     @cached_property

@@ -150,7 +150,7 @@ def coupled(objective: Any, groups: Sequence[list[int]], unit: np.ndarray, resid
         return False
     acts, moves = objective.acts_on, np.zeros((len(groups), len(unit)))
     for number, own in enumerate(groups):
-        moves[number, own] = WIDE * np.linalg.eigh(hessian[np.ix_(own, own)])[1][:, -1]
+        moves[number, own] = WIDE * objective.step * np.linalg.eigh(hessian[np.ix_(own, own)])[1][:, -1]
     places = np.clip(unit + moves, 0.0, 1.0)
     moved = objective.residuals(objective.simulated.space.from_unit(places)) - residual
     joints = np.sqrt((moved.reshape(len(groups), -1, acts.shape[1]) ** 2).sum(axis=1))

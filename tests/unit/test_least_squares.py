@@ -9,7 +9,7 @@ import pytest
 from edream.core.parameters import Parameter, ParameterSpace
 from edream.sim.differences import blocks, jacobian, jacobian_along_axes, nearly, sharing, straight
 from edream.sim.least_squares import solve
-from edream.sim.objective import Objective, rms
+from edream.sim.objective import STEP, Objective, rms
 from edream.sim.polish import finish
 from edream.sim.window import whole
 from tests.recovery.planted import arm, motions, plant
@@ -116,7 +116,7 @@ def rough(flat: float) -> Any:
         kinks = 3e-4 * (np.sin(2e3 * a + phase[:, 0]) + np.sin(2e3 * b + phase[:, 1]))
         return (a + b - 1.0) * both + flat * (a - b) * apart + kinks
 
-    return SimpleNamespace(simulated=SimpleNamespace(space=space), acts_on=np.ones((2, 1), bool), residuals=residuals)
+    return SimpleNamespace(simulated=SimpleNamespace(space=space), acts_on=np.ones((2, 1), bool), residuals=residuals, step=STEP)
 
 
 def test_a_long_difference_along_a_flat_valley_sees_how_flat_it_is() -> None:

@@ -15,6 +15,8 @@ from edream.diagnosis.problem import Problem, Settings, prepare
 from edream.diagnosis.steps import with_short_steps
 from edream.reality.recorder import Recorder, make_recordings
 from edream.reality.truth import Truth, draw
+from edream.sim.differences import FINE
+from edream.sim.objective import STEP
 from edream.sim.robot import load_robot
 
 
@@ -57,6 +59,12 @@ def test_motions_below_the_limit_leave_the_share_as_published(tmp_path: Path) ->
     usual = fit_nuisance(problem)
     same, fit = with_shares(problem, usual)
     assert same is problem and fit is usual
+
+
+@pytest.mark.parametrize(("limit", "gain", "step"), [(0.6, 400.0, FINE), (50.0, 20.0, STEP)])
+def test_differences_are_fine_where_servos_reach_their_limit(tmp_path: Path, limit: float, gain: float, step: float) -> None:
+    problem, _ = recorded(weak(tmp_path, limit, gain), 1)
+    assert fit_nuisance(problem).objective.step == step
 
 
 def test_stiff_servos_at_their_limit_are_led_out_of_a_false_valley(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
