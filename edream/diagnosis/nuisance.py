@@ -39,8 +39,8 @@ def fit_nuisance(problem: Problem) -> Fit:
     if first.rms > FAR * problem.floor and not credible(first):
         first = min(first, calibrated(objective), key=lambda one: one.rms)
     believed = SimulatedRobot(problem.robot, nuisance_placements(problem, bare.space.mapping(first.values)))
-    again = replace(objective, simulated=believed, simulations=0)
     unit = believed.space.to_unit(first.values)
+    again = with_straight_step(replace(published(problem), simulated=believed), np.clip(unit, 0.0, 1.0))
     started = replace(
         first, objective=again, unit=unit, jacobian=_rescaled(first, believed), scale=worth(again, first.residual), ended=False
     )
