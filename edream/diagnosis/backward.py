@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from edream.diagnosis.candidates import Candidate, untouched
+from edream.diagnosis.candidates import Candidate, acted_on, untouched
 from edream.diagnosis.descent import Fit, begin, descend
 from edream.diagnosis.left_out import bootstrap, is_material, left_out_errors
 from edream.diagnosis.problem import Problem
@@ -41,7 +41,7 @@ def refitted_without(problem: Problem, fit: Fit, *candidates: Candidate) -> Fit:
         smaller = without(smaller, candidate)
     space, plain = smaller.space, smaller.values
     for candidate in candidates:
-        plain = as_published(problem, space.names, plain, candidate)
+        plain = as_published(problem, space.names, plain, acted_on(candidate))
     again = begin(smaller.objective, np.clip(space.to_unit(plain), 0.0, 1.0))
     return min((descend(smaller, None, 3), descend(again, None, 6)), key=lambda one: one.rms)
 

@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from edream.catalog import load
 from edream.core.effect import Effect
+from edream.diagnosis.astray import screen_twice
 from edream.diagnosis.backward import without
 from edream.diagnosis.candidates import Candidate, acted_on, confused_with, placement, untouched
 from edream.diagnosis.descent import Fit, begin, descend, polish
@@ -27,7 +28,7 @@ from edream.diagnosis.narrowing import narrowed
 from edream.diagnosis.problem import VISIBLE, Problem
 from edream.diagnosis.remainder import Remainder, find_remainder
 from edream.diagnosis.rough import rough_candidates, searched
-from edream.diagnosis.screen import Scored, extend, screen
+from edream.diagnosis.screen import Scored, extend
 from edream.diagnosis.side_by_side import side_by_side
 from edream.diagnosis.steps import with_short_steps
 from edream.diagnosis.suspects import elsewhere
@@ -106,7 +107,7 @@ def forward(
         if not told or (len(rounds) >= STAND_INS and falls_short(problem, first, errors)):
             rounds.append(Round(fit, errors, [], [], None))
             break
-        scored = screen(problem, fit, lambda n: done("screening", n))
+        scored = screen_twice(problem, fit, lambda n: done("screening", n))
         trials = try_best(problem, fit, errors, scored, lambda n: done("refitting", n))
         if not rounds:  # later ones begin at numbers that make up for less
             trials = with_bold(problem, fit, errors, trials, lambda n: done("searching", n))

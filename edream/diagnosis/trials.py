@@ -35,6 +35,7 @@ REFITTED, GROUPS, FINISHED = 8, 4, 4
 LIKELIEST = 3  # by the score test: they are refitted on whole motions even where candidates are tried boldly
 HOPELESS = 0.4  # of the best candidate's gain after two steps: those below are not refitted to the end
 SERIOUS_SHARE = 0.01
+ARRIVING = 6  # steps from published numbers, which may be far away, for a candidate to show what it can
 NEARLY = 0.9  # of the squared gap above the floor: what is left asks for no search of every effect
 UNLIKELY = 0.3  # of the largest share by the score test: those below wait, and are not refitted where another closes nearly all
 TOLD = 0.02  # of the squared error: what a candidate's search gains less by does not change what it is worth beside others
@@ -240,16 +241,17 @@ def beside_published(
 
     Those that were fitted without it may have gone far to make up for it.
     """
-    believed = as_published(problem, extended.simulated.space.names, absent, Candidate(place.effect.name, tuple(place.targets)))
+    joints = acted_on(Candidate(place.effect.name, tuple(place.targets)))
+    believed = as_published(problem, extended.simulated.space.names, absent, joints)
     return [with_quantities(extended, believed, [place], [one]) for one in probes_of(problem, place)]
 
 
 def as_published(
-    problem: Problem, names: Sequence[str], values: Float[np.ndarray, "P"], candidate: Candidate
+    problem: Problem, names: Sequence[str], values: Float[np.ndarray, "P"], joints: frozenset[str]
 ) -> Float[np.ndarray, "P"]:
-    """Parameter values, the usual numbers of a candidate's joints as the model publishes them; of all, where it acts on none."""
+    """Parameter values, the usual numbers of some joints as the model publishes them; of all, where none are given."""
     space = SimulatedRobot(problem.robot, nuisance_placements(problem)).space
-    joints = acted_on(candidate) or frozenset(problem.joints)
+    joints = joints or frozenset(problem.joints)
     told = {name: value for name, value in space.mapping(space.start()).items() if not joints.isdisjoint(targets_in(name))}
     return np.array([told.get(name, value) for name, value in zip(names, values, strict=True)])
 
@@ -277,7 +279,8 @@ def refitted(problem: Problem, fit: Fit, scored: Scored, iterations: int, joints
         away = [rms(r) for r in extended.residuals(np.array([starts[best], *plain]))]
         nearest, nearer = plain[int(np.argmin(away[1:]))], min(away) < away[0]
         if nearer or problem.shared:
-            apart = [descend_beside_published(fit, extended, nearest, scored.candidate, iterations)]
+            most = max(iterations, ARRIVING) if problem.shared else iterations
+            apart = [descend_beside_published(fit, extended, nearest, scored.candidate, most)]
         if nearer:
             return apart[0]
     fresh = fresh_columns(fit, extended) | of_joints(extended, joints)

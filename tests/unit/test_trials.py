@@ -346,7 +346,7 @@ def _rounds(monkeypatch: pytest.MonkeyPatch, left: list[float], joint_errors: li
         "with_short_steps": lambda problem, fit: (problem, fit),
         "left_out_errors": lambda problem, fit: np.full(6, next(remaining)),
         "joint_errors": lambda problem, fit: np.array(joint_errors),
-        "screen": lambda problem, fit, done: [],
+        "screen_twice": lambda problem, fit, done: [],
         "try_best": lambda problem, fit, errors, scored, done: [_trial("spring", 0.3)],
         "with_bold": lambda problem, fit, errors, trials, done: trials,
         "with_rough": lambda problem, fit, errors, trials, done: trials,

@@ -1,0 +1,42 @@
+"""Where servos reach their limit, usual numbers make up for what is missing, and a score test looks from published ones as well."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from edream.diagnosis import astray
+from edream.diagnosis.candidates import Candidate
+from edream.diagnosis.nuisance import fit_nuisance
+from edream.diagnosis.screen import Scored
+from tests.unit.test_shares import recorded, weak
+
+DRAG, SPRING = Candidate("quadratic_drag", ("tilt",)), Candidate("spring", ("tilt",))
+
+
+@pytest.mark.parametrize("at_limits", [True, False])
+def test_what_stands_out_beside_published_numbers_counts_where_servos_reach_their_limit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at_limits: bool
+) -> None:
+    problem, _ = recorded(weak(tmp_path, 0.5), 4)
+    fit = fit_nuisance(problem)
+    problem = replace(problem, shared=problem.groups if at_limits else ())
+    looked: list[np.ndarray] = []
+
+    def screen(problem: object, there: object, done: object) -> list[Scored]:
+        looked.append(there.values)  # type: ignore[attr-defined]
+        return [Scored(DRAG, {}, 0.9 if len(looked) > 1 else 0.05), Scored(SPRING, {}, 0.2 if len(looked) > 1 else 0.6)]
+
+    monkeypatch.setattr(astray, "screen", screen)
+    monkeypatch.setattr(astray, "far_off", lambda problem, fit: True)
+    monkeypatch.setattr(astray, "worst_joint", lambda problem, fit: "tilt")
+    found = [(one.candidate, one.share) for one in astray.screen_twice(problem, fit)]
+    assert found == ([(DRAG, 0.9), (SPRING, 0.6)] if at_limits else [(DRAG, 0.05), (SPRING, 0.6)])
+    if at_limits:
+        published = fit.space.start()
+        for name, plain, here in zip(fit.space.names, published, looked[1], strict=True):
+            if "tilt" in name and not name.startswith("coulomb"):
+                assert here == pytest.approx(plain, rel=1e-6), name
+            elif "pan" in name:
+                assert here == pytest.approx(fit.space.mapping(fit.values)[name], rel=1e-6), name
