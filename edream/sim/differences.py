@@ -18,7 +18,7 @@ def with_straight_step(objective: Objective, unit: Float[np.ndarray, "P"]) -> Ob
     """The objective with fine differences where its usual ones are no slope: forwards they say other than backwards.
 
     Servos that give all they have one way or the other turn over at moments that move with every number, and what a joint does
-    after one bends within a usual step. A robot whose servos keep within their limits has cosines of 0.998 and more.
+    after one bends within a usual step. Those that keep within their limits have cosines of 0.998 and more in the median.
     """
     space, acts = objective.simulated.space, objective.acts_on
     base = objective.residuals(space.from_unit(unit))[0]
