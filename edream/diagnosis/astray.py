@@ -6,10 +6,10 @@ import numpy as np
 
 from edream.diagnosis.candidates import Candidate
 from edream.diagnosis.descent import Fit, begin
-from edream.diagnosis.left_out import far_off, worst_joint
+from edream.diagnosis.left_out import led_astray, worst_joint
 from edream.diagnosis.problem import Problem
 from edream.diagnosis.screen import Scored, screen
-from edream.diagnosis.trials import as_published
+from edream.diagnosis.starts import as_published
 
 
 def screen_twice(problem: Problem, fit: Fit, done: Callable[[int], object] = lambda n: None) -> list[Scored]:
@@ -20,7 +20,7 @@ def screen_twice(problem: Problem, fit: Fit, done: Callable[[int], object] = lam
     two shares.
     """
     scored = screen(problem, fit, done)
-    if not (problem.shared and far_off(problem, fit)):
+    if not led_astray(problem, fit):
         return scored
     space = fit.space
     plain = as_published(problem, space.names, fit.values, frozenset({worst_joint(problem, fit)}))

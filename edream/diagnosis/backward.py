@@ -10,7 +10,7 @@ from edream.diagnosis.candidates import Candidate, acted_on, untouched
 from edream.diagnosis.descent import Fit, begin, descend
 from edream.diagnosis.left_out import bootstrap, is_material, left_out_errors
 from edream.diagnosis.problem import Problem
-from edream.diagnosis.trials import as_published
+from edream.diagnosis.starts import as_published
 from edream.sim.least_squares import worth
 
 

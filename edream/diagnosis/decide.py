@@ -30,6 +30,7 @@ from edream.diagnosis.remainder import Remainder, find_remainder
 from edream.diagnosis.rough import rough_candidates, searched
 from edream.diagnosis.screen import Scored, extend
 from edream.diagnosis.side_by_side import side_by_side
+from edream.diagnosis.starts import fresh_columns, of_joints
 from edream.diagnosis.steps import with_short_steps
 from edream.diagnosis.suspects import elsewhere
 from edream.diagnosis.trials import (
@@ -39,11 +40,9 @@ from edream.diagnosis.trials import (
     Trial,
     arrived,
     beside,
-    fresh_columns,
     gone_on,
     is_usual,
     judged,
-    of_joints,
     on_few,
     other_answers,
     placed_at,

@@ -115,6 +115,11 @@ def far_off(problem: Problem, fit: Fit) -> bool:
     return joint_errors(problem, fit).max() > CLEAR * problem.floor and not credible(problem, fit.space.mapping(fit.values))
 
 
+def led_astray(problem: Problem, fit: Fit) -> bool:
+    """Whether the fitted numbers may stand in a false valley: far off, and servos reach the limit of their torque."""
+    return bool(problem.shared) and far_off(problem, fit)
+
+
 def leaves_no_gap(problem: Problem, fit: Fit) -> bool:
     """Whether a fit is as near the motions that it was fitted to as one can tell."""
     return fit.rms <= (1.0 + VISIBLE) * problem.floor

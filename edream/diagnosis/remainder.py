@@ -22,8 +22,8 @@ from edream.diagnosis.descent import Fit, descend
 from edream.diagnosis.left_out import bootstrap, folds, is_real, left_out_errors, worst_joint
 from edream.diagnosis.problem import Problem
 from edream.diagnosis.screen import Projection, extend, thinned
+from edream.diagnosis.starts import fresh_columns, with_column
 from edream.diagnosis.steps import with_long_steps
-from edream.diagnosis.trials import fresh_columns, with_column
 from edream.sim.scales import torque_scale
 from edream.sim.simulation import Placement
 

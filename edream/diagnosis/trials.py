@@ -1,17 +1,26 @@
 """Candidates refitted: from where the score test puts each, with all nuisance numbers free, judged on motions left out."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from edream.core.effect import Effect
-from edream.core.parameters import targets_in
 from edream.diagnosis.candidates import Candidate, acted_on, library, placement, probes_of, rounds
 from edream.diagnosis.descent import Fit, begin, descend, stretches
-from edream.diagnosis.left_out import HALF, bootstrap, far_off, is_real, is_small, leaves_no_gap, left_out_errors, worst_joint
-from edream.diagnosis.problem import Problem, nuisance_placements
+from edream.diagnosis.left_out import (
+    HALF,
+    bootstrap,
+    far_off,
+    is_real,
+    is_small,
+    leaves_no_gap,
+    led_astray,
+    left_out_errors,
+    worst_joint,
+)
+from edream.diagnosis.problem import Problem
 from edream.diagnosis.screen import (
     ENOUGH,
     Scored,
@@ -19,17 +28,23 @@ from edream.diagnosis.screen import (
     extend,
     fits_beside,
     lightened,
-    scaled_probe,
     thinned,
     unexplained_by,
     with_quantities,
 )
 from edream.diagnosis.side_by_side import side_by_side
+from edream.diagnosis.starts import (
+    beside_published,
+    bold_starts,
+    fresh_columns,
+    of_joints,
+    shapes,
+    strong_probes,
+    with_column,
+)
 from edream.diagnosis.steps import with_long_steps
-from edream.sim.differences import inwards
 from edream.sim.least_squares import worth
 from edream.sim.objective import Objective, rms
-from edream.sim.simulation import Placement, SimulatedRobot
 
 REFITTED, GROUPS, FINISHED = 8, 4, 4
 LIKELIEST = 3  # by the score test: they are refitted on whole motions even where candidates are tried boldly
@@ -39,7 +54,6 @@ ARRIVING = 6  # steps from published numbers, which may be far away, for a candi
 NEARLY = 0.9  # of the squared gap above the floor: what is left asks for no search of every effect
 UNLIKELY = 0.3  # of the largest share by the score test: those below wait, and are not refitted where another closes nearly all
 TOLD = 0.02  # of the squared error: what a candidate's search gains less by does not change what it is worth beside others
-STRONG = 5.0  # probes
 SHAPED = 1.5  # floors of error from which a winner is tried in its other shapes
 SHAPES = 3  # so many of them
 
@@ -100,9 +114,13 @@ def try_best(
     hopeful = [pair for pair, gain in zip(begun, gained, strict=True) if gain >= HOPELESS * gained[0]][:FINISHED]
     # what the score test says most for may only begin slowly: a payload has four numbers, beside some that have made up for it
     hopeful += [pair for pair in begun if pair[1] is scored[0] and pair not in hopeful]
-    anew = {one: joints_astray(problem, fit, one.candidate) for _, one in hopeful}
-    trials = side_by_side(lambda pair: judged(problem, gone_on(fit, pair[0], anew[pair[1]]), errors, pair[1]), hopeful, threads)
-    return sorted(trials, key=lambda t: -t.closed)
+    astray = led_astray(problem, fit)
+
+    def finished(pair: tuple[Fit, Scored]) -> Trial:
+        near, one = pair
+        return judged(problem, gone_on(fit, near, acted_on(one.candidate) if astray else frozenset()), errors, one)
+
+    return sorted(side_by_side(finished, hopeful, threads), key=lambda t: -t.closed)
 
 
 def nearly_closed(problem: Problem, before: Fit, left: float) -> bool:
@@ -118,11 +136,6 @@ def leaves_little(problem: Problem, trial: Trial) -> bool:
 def on_few(problem: Problem, fit: Fit) -> Fit:
     """The fit on as much motion as shows which candidates are worth a search, in long steps; as it is where that costs little."""
     return fit if is_small(fit) else lightened(problem, fit)
-
-
-def joints_astray(problem: Problem, fit: Fit, candidate: Candidate) -> frozenset[str]:
-    """A candidate's joints, where their usual numbers may stand in a false valley without it: far off, at the servos' limits."""
-    return acted_on(candidate) if problem.shared and far_off(problem, fit) else frozenset()
 
 
 def gone_on(fit: Fit, near: Fit, joints: frozenset[str] = frozenset()) -> Fit:
@@ -223,39 +236,6 @@ def placed_at(problem: Problem, fit: Fit, targets: Sequence[str], effects: Seque
     return [Scored(c, probes_of(problem, placement(problem, c))[0], 0.0) for c in fresh]
 
 
-def bold_starts(
-    problem: Problem, place: Placement, scored: Scored, extended: Objective, absent: Float[np.ndarray, "P"]
-) -> list[Float[np.ndarray, "P"]]:
-    """Parameter sets: where the score test says, and strong versions; each also with little of the friction it may replace."""
-    quantities = [scored.start, *strong_probes(problem, place)[:4]]
-    starts = [with_quantities(extended, absent, [place], [one]) for one in quantities]
-    names = extended.simulated.space.names
-    friction = np.array([name.startswith("coulomb.") for name in names])
-    return [*starts, *(np.where(friction, 0.2 * start, start) for start in starts if friction.any())]
-
-
-def beside_published(
-    problem: Problem, place: Placement, extended: Objective, absent: Float[np.ndarray, "P"]
-) -> list[Float[np.ndarray, "P"]]:
-    """Every probe of a candidate, its joints' usual numbers as published; all joints', where it acts on none.
-
-    Those that were fitted without it may have gone far to make up for it.
-    """
-    joints = acted_on(Candidate(place.effect.name, tuple(place.targets)))
-    believed = as_published(problem, extended.simulated.space.names, absent, joints)
-    return [with_quantities(extended, believed, [place], [one]) for one in probes_of(problem, place)]
-
-
-def as_published(
-    problem: Problem, names: Sequence[str], values: Float[np.ndarray, "P"], joints: frozenset[str]
-) -> Float[np.ndarray, "P"]:
-    """Parameter values, the usual numbers of some joints as the model publishes them; of all, where none are given."""
-    space = SimulatedRobot(problem.robot, nuisance_placements(problem)).space
-    joints = joints or frozenset(problem.joints)
-    told = {name: value for name, value in space.mapping(space.start()).items() if not joints.isdisjoint(targets_in(name))}
-    return np.array([told.get(name, value) for name, value in zip(names, values, strict=True)])
-
-
 def refit(problem: Problem, fit: Fit, errors: Float[np.ndarray, "M"], scored: Scored) -> Trial:
     """One candidate, from where the score test puts it, with all nuisance numbers free, judged on motions left out."""
     return judged(problem, refitted(problem, fit, scored, iterations=6), errors, scored)
@@ -297,14 +277,6 @@ def descend_beside_published(
         return descend(begin(extended, np.clip(extended.simulated.space.to_unit(start), 0.0, 1.0)), None, iterations)
     fresh = fresh_columns(fit, extended) | of_joints(extended, joints)
     return descend(with_column(fit, extended, start, fresh), fresh, iterations)
-
-
-def shapes(problem: Problem, place: Placement, start: Mapping[str, float]) -> list[dict[str, float]]:
-    """A candidate's quantities as they are, and with the same strength in the shape of each of its probes (a speed, a place)."""
-    parameters = place.effect.parameters(problem.robot.model, place.targets)
-    form = [p.name for p in parameters if p.absent is None]
-    others = [{**start, **{name: probe[name] for name in form if name in probe}} for probe in probes_of(problem, place)]
-    return [one for i, one in enumerate([dict(start), *others]) if one not in [dict(start), *others][:i]]
 
 
 def arrived(problem: Problem, before: Fit, taken: Trial) -> Fit:
@@ -366,31 +338,3 @@ def is_usual(problem: Problem, trial: Trial) -> bool:
     place, found = placement(problem, trial.candidate), trial.fit.space.mapping(trial.fit.values)
     names = [p.name for p in place.effect.parameters(problem.robot.model, place.targets)]
     return place.effect.is_usual({name: found[place.full_name(name)] for name in names})
-
-
-def with_column(fit: Fit, extended: Objective, start: Float[np.ndarray, "P"], fresh: Bool[np.ndarray, "P"] | None = None) -> Fit:
-    """The fit at a larger model's starting point: columns in `fresh`, the candidate's at least, are differenced, others kept."""
-    space = extended.simulated.space
-    unit = np.clip(space.to_unit(start), 0.0, 1.0)
-    new = np.flatnonzero(fresh_columns(fit, extended) if fresh is None else fresh)
-    steps = inwards(extended, unit)
-    residuals = extended.residuals(space.from_unit(np.vstack([unit, unit + np.diag(steps)[new]])))
-    slope = np.hstack([fit.jacobian, np.zeros((len(residuals[0]), len(unit) - len(fit.unit)))])
-    slope[:, new] = ((residuals[1:] - residuals[0]) / steps[new, None]).T
-    return Fit(extended, unit, residuals[0], slope, worth(extended, residuals[0]))
-
-
-def of_joints(objective: Objective, joints: frozenset[str]) -> Bool[np.ndarray, "P"]:
-    """Which parameters act on some of these joints."""
-    return np.array([not joints.isdisjoint(targets_in(name)) for name in objective.simulated.space.names])
-
-
-def fresh_columns(fit: Fit, extended: Objective) -> Bool[np.ndarray, "P"]:
-    """Which parameters a larger model has more than the fit's."""
-    return np.arange(len(extended.simulated.space)) >= len(fit.unit)
-
-
-def strong_probes(problem: Problem, place: Placement) -> list[dict[str, float]]:
-    """The probes made strong, inside the box; those that end in the same corner of it count once."""
-    scaled = [scaled_probe(place, problem, probe, STRONG) for probe in probes_of(problem, place)]
-    return [one for i, one in enumerate(scaled) if one is not None and one not in scaled[:i]]

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from edream.diagnosis import astray
+from edream.diagnosis import astray, left_out
 from edream.diagnosis.candidates import Candidate
 from edream.diagnosis.nuisance import fit_nuisance
 from edream.diagnosis.screen import Scored
@@ -29,7 +29,7 @@ def test_what_stands_out_beside_published_numbers_counts_where_servos_reach_thei
         return [Scored(DRAG, {}, 0.9 if len(looked) > 1 else 0.05), Scored(SPRING, {}, 0.2 if len(looked) > 1 else 0.6)]
 
     monkeypatch.setattr(astray, "screen", screen)
-    monkeypatch.setattr(astray, "far_off", lambda problem, fit: True)
+    monkeypatch.setattr(left_out, "far_off", lambda problem, fit: True)
     monkeypatch.setattr(astray, "worst_joint", lambda problem, fit: "tilt")
     found = [(one.candidate, one.share) for one in astray.screen_twice(problem, fit)]
     assert found == ([(DRAG, 0.9), (SPRING, 0.6)] if at_limits else [(DRAG, 0.05), (SPRING, 0.6)])

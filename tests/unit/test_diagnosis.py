@@ -29,7 +29,8 @@ from edream.diagnosis.screen import (
     with_quantities,
     worthwhile,
 )
-from edream.diagnosis.trials import Trial, as_published
+from edream.diagnosis.starts import as_published
+from edream.diagnosis.trials import Trial
 from edream.diagnosis.verdict import Named, is_strange, judge, sentence
 from edream.sim.rollout import rollout
 from edream.sim.simulation import SimulatedRobot

@@ -88,9 +88,10 @@ def test_unlikely_candidates_wait_and_are_not_refitted_where_another_closes_near
 
     told = {
         "far_off": lambda problem, fit: False,
+        "led_astray": lambda problem, fit: False,
         "on_few": lambda problem, fit: fit,
         "refitted": refitted,
-        "gone_on": lambda fit, near: near,
+        "gone_on": lambda fit, near, joints: near,
         "judged": lambda problem, fit, errors, one: _trial(one.candidate.effect, 1.0 - fit.rms),
     }
     for name, stand_in in told.items():
