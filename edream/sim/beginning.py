@@ -5,25 +5,41 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-LESS = (1.0, 0.3, 0.1, 0.03, 0.01)  # of the published dry friction
+LESS = (1.0, 0.3, 0.1, 0.03, 0.01)  # of the published dry friction, and of the published gain
+CLEARLY = 0.25  # of the squared error: a lower gain that leaves more is no better place to begin
 
 
 def beginning(objective: Any) -> Float[np.ndarray, "P"]:
-    """The published numbers, with less dry friction on joints whose recordings are nearer to that.
+    """The published numbers, with a lower gain and less dry friction on joints whose recordings are clearly nearer to that.
 
-    Some models are published with a friction that their servos can hardly overcome. From there every search ends in the valley of
-    servos that could: all torques of a joint too large by one factor.
+    Some models are published with servos so stiff that they only know all one way and all the other: there recordings of a soft
+    servo ask for no number more than for another, and no descent leaves. Some are published with a friction that their servos can
+    hardly overcome: from there every search ends in the valley of servos that could, all torques of a joint too large by one
+    factor. With the gain goes the square root of the damping, which damps a joint as well as before.
 
     Args:
         objective: an `Objective`, or what stands in its place.
     """
+    space, less = objective.simulated.space, np.array(LESS)[:, None]
+    gain, damping, friction = (
+        np.array([name.startswith(kind) for name in space.names]) for kind in ("servo_gain.", "viscous.damping", "coulomb.")
+    )
+    start = space.start()
+    if gain.any():
+        start = nearest(objective, np.where(gain, less * start, np.where(damping, np.sqrt(less) * start, start)), CLEARLY)
+    return nearest(objective, np.where(friction, less * start, start), 1.0) if friction.any() else start
+
+
+def nearest(objective: Any, starts: Float[np.ndarray, "S P"], clearly: float) -> Float[np.ndarray, "P"]:
+    """Of each parameter the value of the set that leaves its joints least; the first set's where none leaves so much less.
+
+    Args:
+        clearly: of the squared error that the first set leaves.
+    """
     space, acts = objective.simulated.space, objective.acts_on
-    friction = np.array([name.startswith("coulomb.") for name in space.names])
-    if not friction.any():
-        return space.start()
-    starts = np.array([np.where(friction, less * space.start(), space.start()) for less in LESS])
     low, high = space.from_unit(np.zeros(len(space))), space.from_unit(np.ones(len(space)))
     starts = np.clip(starts, low, high)
-    squares = (objective.residuals(starts).reshape(len(LESS), -1, acts.shape[1]) ** 2).sum(axis=1)
-    best = (squares @ acts.T.astype(float)).argmin(axis=0)
-    return starts[best, np.arange(len(space))]
+    squares = (objective.residuals(starts).reshape(len(starts), -1, acts.shape[1]) ** 2).sum(axis=1) @ acts.T.astype(float)
+    best = squares.argmin(axis=0)
+    each = np.arange(len(space))
+    return starts[np.where(squares[best, each] < clearly * squares[0], best, 0), each]

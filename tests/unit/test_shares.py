@@ -1,5 +1,6 @@
 """The servo's share of a joint's damping, which only motions that reach the limit of its torque tell."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,25 +8,27 @@ import pytest
 
 import edream
 from edream.core.episode import Episode
-from edream.diagnosis import steps
+from edream.diagnosis import nuisance, steps
 from edream.diagnosis.coordinate_search import best_along_coordinates, coordinate_search
 from edream.diagnosis.descent import polish
+from edream.diagnosis.left_out import leaves_no_gap
 from edream.diagnosis.nuisance import fit_nuisance, with_shares
 from edream.diagnosis.problem import Problem, Settings, prepare
 from edream.diagnosis.steps import with_short_steps
 from edream.reality.recorder import Recorder, make_recordings
 from edream.reality.truth import Truth, draw
 from edream.sim.differences import FINE
-from edream.sim.objective import STEP
+from edream.sim.objective import STEP, Objective
 from edream.sim.robot import load_robot
 
 
-def recorded(path: Path, seed: int) -> tuple[Problem, Truth]:
-    robot = load_robot(path)
+def recorded(path: Path, seed: int, published: Path | None = None) -> tuple[Problem, Truth]:
+    """A robot's own motions, and what is to be explained beside a model of it, the one that it was drawn from if None is told."""
+    robot, model = load_robot(path), load_robot(published or path)
     truth = draw(robot, [], np.random.default_rng(seed), 0.3, ("pan", "tilt"))
     made = make_recordings(robot, truth, seed, 6, 5.0, Recorder())
     episodes = [Episode(r.name, robot.joints, r.times, r.position, r.command_times, r.command) for r in made]
-    return prepare(robot, episodes, Settings()), truth
+    return prepare(model, episodes, Settings()), truth
 
 
 def weak(folder: Path, limit: float, gain: float = 20.0, damping: float = 0.5) -> Path:
@@ -65,6 +68,35 @@ def test_motions_below_the_limit_leave_the_share_as_published(tmp_path: Path) ->
 def test_differences_are_fine_where_servos_reach_their_limit(tmp_path: Path, limit: float, gain: float, step: float) -> None:
     problem, _ = recorded(weak(tmp_path, limit, gain), 1)
     assert fit_nuisance(problem).objective.step == step
+
+
+def test_soft_servos_are_found_that_were_published_so_stiff_that_they_always_reach_their_limit(tmp_path: Path) -> None:
+    soft, stiff = (tmp_path / name for name in ("soft", "stiff"))
+    soft.mkdir()
+    stiff.mkdir()
+    problem, truth = recorded(weak(soft, 1.0, 15.0, 1.0), 4, published=weak(stiff, 1.0, 1000.0, 2.0))
+    fit = fit_nuisance(problem)
+    assert leaves_no_gap(problem, fit) and fit.objective.step == STEP
+    found = fit.space.mapping(fit.values)
+    for joint in problem.joints:
+        assert found[f"servo_gain.kp[{joint}]"] == pytest.approx(truth.nuisance["kp"][joint], rel=0.15)
+
+
+def test_the_step_of_differences_is_chosen_anew_where_the_usual_numbers_were_found(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    problem, _ = recorded(weak(tmp_path, 50.0), 4)
+    places: list[np.ndarray] = []
+
+    def chosen(objective: Objective, unit: np.ndarray) -> Objective:
+        places.append(objective.simulated.space.from_unit(unit))
+        return replace(objective, step=FINE) if len(places) == 1 else objective
+
+    monkeypatch.setattr(nuisance, "with_straight_step", chosen)
+    fit = fit_nuisance(problem)
+    assert fit.objective.step == STEP
+    first, last = (np.abs(place / fit.values - 1.0).max() for place in places)
+    assert last < 0.1 < first
 
 
 def test_stiff_servos_at_their_limit_are_led_out_of_a_false_valley(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
