@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 LESS = (1.0, 0.3, 0.1, 0.03, 0.01)  # of the published dry friction, and of the published gain
 ENOUGH = 6  # windows
-CLEARLY = 0.25  # of the squared error: a lower gain that leaves more is no better place to begin
+CLEARLY = 0.5  # of the squared error: a lower gain that leaves more is no better place to begin
 
 
 def beginning(objective: Any) -> Float[np.ndarray, "P"]:
