@@ -3,10 +3,15 @@
 from dataclasses import replace
 from typing import Any
 
+import mujoco
 import numpy as np
 from jaxtyping import Float
 
+from edream.core.parameters import targets_in
+from edream.sim.scales import position_gain, strongest
+
 LESS = (1.0, 0.3, 0.1, 0.03, 0.01)  # of the published dry friction, and of the published gain
+STIFF = 0.02  # rad (m) of error
 ENOUGH = 6  # windows
 CLEARLY = 0.5  # of the squared error: a lower gain that leaves more is no better place to begin
 
@@ -15,23 +20,33 @@ def beginning(objective: Any) -> Float[np.ndarray, "P"]:
     """The published numbers, with a lower gain and less dry friction on joints whose recordings are clearly nearer to that.
 
     Some models are published with servos so stiff that they only know all one way and all the other: there recordings of a soft
-    servo ask for no number more than for another, and no descent leaves. Some are published with a friction that their servos can
-    hardly overcome: from there every search ends in the valley of servos that could, all torques of a joint too large by one
-    factor. With the gain goes the square root of the damping, which damps a joint as well as before.
+    servo ask for no number more than for another, and no descent leaves. For these alone a lower gain is looked at, and with it the
+    square root of the damping, which damps a joint as well as before. Some models are published with a friction that their servos
+    can hardly overcome: from there every search ends in the valley of servos that could, all torques of a joint too large by one
+    factor.
 
     Args:
         objective: an `Objective`, or what stands in its place.
     """
-    space, less = objective.simulated.space, np.array(LESS)[:, None]
+    space, start, less = objective.simulated.space, objective.simulated.space.start(), np.array(LESS)[:, None]
+    model, joints = objective.simulated.robot.model, [targets_in(name) for name in space.names]
     gain, damping, friction = (
         np.array([name.startswith(kind) for name in space.names]) for kind in ("servo_gain.", "viscous.damping", "coulomb.")
     )
-    start = space.start()
-    if gain.any():
+    servos = set[str]().union(*(own for own, one in zip(joints, gain, strict=True) if one))
+    hard = {joint for joint in servos if all_or_nothing(model, joint)}
+    stiff = np.array([not hard.isdisjoint(own) for own in joints])
+    if (gain & stiff).any():
         few = some(objective)
-        start = nearest(few, np.where(gain, less * start, np.where(damping, np.sqrt(less) * start, start)), CLEARLY)
+        softer = np.where(gain & stiff, less * start, np.where(damping & stiff, np.sqrt(less) * start, start))
+        start = nearest(few, softer, CLEARLY)
         objective.simulations += few.simulations
     return nearest(objective, np.where(friction, less * start, start), 1.0) if friction.any() else start
+
+
+def all_or_nothing(model: mujoco.MjModel, joint: str) -> bool:
+    """Whether a servo gives all it has at so small an error that it mostly does."""
+    return strongest(model, joint) < STIFF * position_gain(model, joint)
 
 
 def some(objective: Any) -> Any:
