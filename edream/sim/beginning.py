@@ -45,7 +45,7 @@ def beginning(objective: Any) -> Float[np.ndarray, "P"]:
 
 
 def all_or_nothing(model: mujoco.MjModel, joint: str) -> bool:
-    """Whether a servo gives all it has at so small an error that it mostly does."""
+    """Whether a servo reaches its torque limit [N m] at an error of 0.02 rad (m), so that it mostly stands there."""
     return strongest(model, joint) < STIFF * position_gain(model, joint)
 
 

@@ -113,8 +113,8 @@ def travel(model: mujoco.MjModel, joint: str) -> tuple[float, float]:
 
 
 def strongest(model: mujoco.MjModel, joint: str) -> float:
-    """The largest torque that a joint's servo can give [N m]: its limit, or without one that of an error of 1.5 rad."""
-    actuator = joint_index(model, joint)["actuator"]
-    if model.actuator_forcelimited[actuator]:
-        return float(model.actuator_forcerange[actuator, 1])
-    return max(10.0 * torque_scale(model, joint), 1.5 * position_gain(model, joint))
+    """The largest torque that a joint's servo can give [N m]: the servo's or the joint's limit, or that of an error of 1.5 rad."""
+    actuator, number = joint_index(model, joint)["actuator"], model.joint(joint).id
+    limits = [model.actuator_forcerange[actuator, 1]] if model.actuator_forcelimited[actuator] else []
+    limits += [model.jnt_actfrcrange[number, 1]] if model.jnt_actfrclimited[number] else []
+    return float(min(limits)) if limits else max(10.0 * torque_scale(model, joint), 1.5 * position_gain(model, joint))

@@ -17,9 +17,11 @@ from edream.diagnosis.problem import Problem, Settings, prepare
 from edream.diagnosis.steps import with_short_steps
 from edream.reality.recorder import Recorder, make_recordings
 from edream.reality.truth import Truth, draw
+from edream.sim.beginning import all_or_nothing
 from edream.sim.differences import FINE
 from edream.sim.objective import STEP, Objective
 from edream.sim.robot import load_robot
+from edream.sim.scales import strongest
 
 
 def recorded(path: Path, seed: int, published: Path | None = None) -> tuple[Problem, Truth]:
@@ -113,3 +115,15 @@ def test_stiff_servos_at_their_limit_are_led_out_of_a_false_valley(tmp_path: Pat
     assert place is not None
     names = [stuck.space.names[k] for k in np.flatnonzero(place != stuck.unit)]
     assert all(sum(joint in name for name in names) <= 1 for joint in ("pan", "tilt")), "one number a joint"
+
+
+def test_a_limit_of_the_joint_counts_as_one_of_its_servo(tmp_path: Path) -> None:
+    path = weak(tmp_path, 50.0, gain=1000.0)
+    free = load_robot(path).model
+    text = path.read_text()
+    start = text.index("<joint ", text.index("<worldbody>")) + len("<joint ")
+    path.write_text(text[:start] + 'actuatorfrcrange="-3 3" ' + text[start:])
+    model = load_robot(path).model
+    (limited,) = (model.joint(number).name for number in np.flatnonzero(model.jnt_actfrclimited))
+    assert strongest(free, limited) == 50.0 and not all_or_nothing(free, limited)
+    assert strongest(model, limited) == 3.0 and all_or_nothing(model, limited)
