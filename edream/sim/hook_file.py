@@ -168,7 +168,8 @@ def begin(model, data):
     mujoco.mj_forward(model, data)
 
 
-BASES = weakref.WeakKeyDictionary()  # of a model: its own dry friction [N m], and what a step wrote over it
+# of a model: its own dry friction [N m], and what a step wrote over it; one for all hook files, also this one loaded again
+BASES = vars(mujoco).setdefault("friction_under_hooks", weakref.WeakKeyDictionary())
 
 
 def base_of(model):

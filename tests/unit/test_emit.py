@@ -94,6 +94,7 @@ def test_stock_mujoco_replays_the_emitted_model_as_edream_does(name: str, tmp_pa
     theirs = stock(model, hook, episode)
     assert np.abs(ours - theirs).max() < 1e-6, f"{name}: {np.abs(ours - theirs).max():.1e} rad"
     np.testing.assert_array_equal(stock(model, hook, episode), theirs, "a step made anew for the same model")
+    np.testing.assert_array_equal(stock(model, loaded(made.hook, tmp_path), episode), theirs, "the file loaded anew, too")
     if simulated.has_hooks:
         assert "import edream" not in made.hook and "State" not in made.hook
 
