@@ -172,7 +172,7 @@ def motions(episodes: Sequence[Episode], settings: Settings) -> list[Window]:
     if len(pieces) < FEWEST:
         raise EdreamError(
             f"A diagnosis needs at least {FEWEST} motions, so that some are never fitted, or a recording that can be cut into as "
-            f"many of {SHORTEST:.0f} s; the data has {len(episodes)} recordings of {seconds:.1f} s in all. Record more."
+            f"many of {SHORTEST:.0f} s; the data lasts {seconds:.1f} s in all (recordings: {len(episodes)}). Record more."
         )
     return pieces
 

@@ -60,5 +60,5 @@ def test_a_recording_too_short_to_be_a_motion_is_no_piece() -> None:
 
 @pytest.mark.parametrize("lengths", [(10.0,), (5.5, 5.5, 5.5)])
 def test_too_little_motion_is_a_sentence(lengths: tuple[float, ...]) -> None:
-    with pytest.raises(EdreamError, match=r"at least 4 motions.* into as many of 4 s; the data has \d recordings of 1\d\.\d s"):
+    with pytest.raises(EdreamError, match=r"at least 4 motions.* into as many of 4 s; the data lasts 1\d\.\d s in all"):
         motions([strides(seconds, f"r{number}") for number, seconds in enumerate(lengths)], Settings())
