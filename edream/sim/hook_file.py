@@ -168,21 +168,21 @@ def begin(model, data):
     mujoco.mj_forward(model, data)
 
 
-# of a model: its own dry friction [N m], and what a step wrote over it; one for all hook files, also this one loaded again
+# of a model or a batch: its own dry friction [N m] and what a step wrote over it, known to all hook files and to one loaded again
 BASES = vars(mujoco).setdefault("friction_under_hooks", weakref.WeakKeyDictionary())
 
 
-def base_of(model):
-    """The model's own dry friction and what was written over it; what is neither is a new friction of its own."""
-    if model not in BASES or not np.array_equal(BASES[model][1], model.dof_frictionloss):
-        BASES[model] = model.dof_frictionloss.copy(), model.dof_frictionloss.copy()
-    return BASES[model]
+def base_of(moved, friction):
+    """The own dry friction of a model or a batch and what was written over it; what is neither is a new friction of its own."""
+    if moved not in BASES or not np.array_equal(BASES[moved][1], friction):
+        BASES[moved] = friction.copy(), friction.copy()
+    return BASES[moved]
 
 
 def make(model):
     """A function step(model, data) to be called before each mujoco.mj_step."""
     laws, last, memory = calls(model), [np.inf], {{}}
-    base, written = base_of(model)
+    base, written = base_of(model, model.dof_frictionloss)
 
     def step(model, data):
         if data.time < last[0] or data.time == 0.0:
@@ -199,8 +199,13 @@ def make(model):
 def make_batch(batch):
     """A function step() to be called before each batch.step(), for simulations of one model that have been started."""
     state, laws = Many(batch), calls(batch.get_model(0))
-    base = state.friction.copy()
-    return lambda: apply(state, base, laws)
+    base, written = base_of(batch, state.friction)
+
+    def step():
+        apply(state, base, laws)
+        written[:] = state.friction
+
+    return step
 '''
 
 GEARS = """    for _, index, _ in calls(model):

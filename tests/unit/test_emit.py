@@ -165,3 +165,20 @@ def test_mass_may_be_taken_from_where_a_body_has_none() -> None:
     assert emitted.body_mass[body] == pytest.approx(0.6 * ROBOT.model.body_mass[own])
     a, b, c = np.sort(emitted.body_inertia[body])
     assert a > 0.0 and a + b >= c * (1.0 - 1e-9)
+
+
+def test_a_step_made_anew_for_a_batch_knows_its_own_friction(tmp_path: Path) -> None:
+    simulated, values = with_effect("load_friction")
+    made = emit(simulated, values)
+    (tmp_path / "model.xml").write_text(made.mjcf)
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "model.xml"))
+    many = batch.Batch(model, 2, 1)
+    step = loaded(made.hook, tmp_path).make_batch(many)
+    for _ in range(20):
+        step()
+        many.step()
+    step()
+    written = many.expand("dof_frictionloss").copy()
+    assert (written > model.dof_frictionloss).any(), "the load has added to it"
+    loaded(made.hook, tmp_path).make_batch(many)()
+    np.testing.assert_array_equal(many.expand("dof_frictionloss"), written)
