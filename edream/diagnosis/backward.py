@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from edream.diagnosis.candidates import Candidate, acted_on, untouched
 from edream.diagnosis.descent import Fit, begin, descend
-from edream.diagnosis.left_out import bootstrap, is_material, left_out_errors
+from edream.diagnosis.left_out import bootstrap, gap_above_floor, is_material, left_out_errors
 from edream.diagnosis.problem import Problem
 from edream.diagnosis.starts import as_published
 from edream.sim.least_squares import worth
@@ -26,8 +26,8 @@ def backward(problem: Problem, fit: Fit, named: Sequence[Candidate], first: Floa
         refitted = refitted_without(problem, fit, candidate)
         without_it = left_out_errors(problem, refitted)
         low, _ = bootstrap(without_it - errors, problem.settings.seed)
-        gap = max(float(without_it.mean()) - problem.floor**2, 1e-18)
         others = [one for one in kept if one != candidate]
+        gap = gap_above_floor(problem, without_it)
         gains = low > 0.0 and float((without_it - errors).mean()) / gap >= problem.settings.gain
         if not (gains and is_material(problem, first, (without_it, refitted), (errors, fit), untouched(problem, others))):
             fit, kept = refitted, others

@@ -102,7 +102,8 @@ def forward(
         bare = untouched(problem, [one.taken.candidate for one in rounds if one.taken is not None])
         errors_of = dict(zip(problem.joints, joint_errors(problem, fit), strict=True))
         elsewhere = any(errors_of[joint] > ELSEWHERE * problem.floor for joint in bare)
-        told = left > VISIBLE * problem.floor and (elsewhere or left > (MATERIAL * whole if rounds else 0.0))
+        # the mean over many joints hides what is left on one
+        told = elsewhere or left > max(VISIBLE * problem.floor, MATERIAL * whole if rounds else 0.0)
         if not told or (len(rounds) >= STAND_INS and falls_short(problem, first, errors)):
             rounds.append(Round(fit, errors, [], [], None))
             break
@@ -312,7 +313,8 @@ def with_confusable(
         if not more:
             break
         asked |= set(asking)
-        found = sorted([*found, *more], key=lambda t: -t.closed)
+        better = {t.candidate: t for t in sorted([*found, *more], key=lambda t: t.closed)}
+        found = sorted(better.values(), key=lambda t: -t.closed)
     return found
 
 
@@ -326,7 +328,7 @@ def heard(
     known: Sequence[Effect],
     done: Callable[[int], object],
 ) -> list[Trial]:
-    """Effects that have not been tried where the best trial acts, refitted there.
+    """Effects that have not been tried where the best trial acts, or came to little there, refitted patiently.
 
     Each is heard where the best one acts; where it can't act there, at the place that the score test likes best; on links, at the
     outermost one in any case, where a robot carries what it carries, and at those next to the best one's.
@@ -335,7 +337,8 @@ def heard(
     places.sort(key=lambda s: s.candidate.targets != best.candidate.targets)  # the score test's order otherwise
     chosen = {s.candidate.effect: s for s in reversed(places) if s.candidate.effect in [one.name for one in known]}
     others = [s for s in elsewhere(problem, fit, best.candidate) if s.candidate.effect in chosen]
-    tried = [t.candidate for t in trials]
+    # by a few steps with stale columns a lag is lost behind a delay
+    tried = [t.candidate for t in trials if t.closed >= ALIKE * best.closed or t.candidate.targets != best.candidate.targets]
     twins = list({s.candidate: s for s in (*chosen.values(), *others) if s.candidate not in tried}.values())
     few, most = on_few(problem, fit), 1.0 - (best.fit.rms / fit.rms) ** 2
 

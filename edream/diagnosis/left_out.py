@@ -89,6 +89,14 @@ def is_real(problem: Problem, errors: Float[np.ndarray, "M"]) -> bool:
     return float(errors.mean()) > (REAL_GAP * problem.floor) ** 2
 
 
+def gap_above_floor(problem: Problem, errors: Float[np.ndarray, "M"]) -> float:
+    """Mean squared error on motions left out above the floor [rad^2]; of one that cannot be seen, the least that can.
+
+    What one joint is off by may not show in the mean over many.
+    """
+    return max(float(errors.mean()) - problem.floor**2, ((1.0 + VISIBLE) ** 2 - 1.0) * problem.floor**2)
+
+
 def agreement(error: float, floor: float) -> str:
     """What to say where nothing is named.
 

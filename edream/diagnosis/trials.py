@@ -13,6 +13,7 @@ from edream.diagnosis.left_out import (
     HALF,
     bootstrap,
     far_off,
+    gap_above_floor,
     is_real,
     is_small,
     leaves_no_gap,
@@ -313,9 +314,9 @@ def judged(problem: Problem, fit: Fit, errors: Float[np.ndarray, "M"], scored: S
     """A refitted candidate on motions left out, against `errors` without it."""
     left = left_out_errors(problem, fit)
     gain = errors - left
-    gap = max(float(errors.mean()) - problem.floor**2, 1e-18)
     low, _ = bootstrap(gain, problem.settings.seed)
-    return Trial(scored.candidate, scored.share, fit, left, float(gain.mean()) / gap, low > 0.0)
+    closed = float(gain.mean()) / gap_above_floor(problem, errors)
+    return Trial(scored.candidate, scored.share, fit, left, closed, low > 0.0)
 
 
 def is_another(one: Trial, other: Trial) -> bool:
