@@ -97,17 +97,26 @@ def gap_above_floor(problem: Problem, errors: Float[np.ndarray, "M"]) -> float:
     return max(float(errors.mean()) - problem.floor**2, ((1.0 + VISIBLE) ** 2 - 1.0) * problem.floor**2)
 
 
-def agreement(error: float, floor: float) -> str:
-    """What to say where nothing is named.
+def is_left(problem: Problem, left: Float[np.ndarray, "M"], proof: Float[np.ndarray, "K"]) -> bool:
+    """Whether a real gap is left with nothing named, on motions left out or never fitted, that does not rest on one of them.
 
-    Args:
-        error: root-mean-square error on motions never fitted [rad].
-        floor: what noise and repetition explain of it [rad].
+    Where a servo at the limit of its torque just holds, or just not, the last digit of a number decides over a whole motion.
     """
-    if error <= AT_THE_FLOOR * floor:
+    low, _ = bootstrap(np.concatenate([left, proof]), problem.settings.seed)
+    return (is_real(problem, left) or is_real(problem, proof)) and low > (AT_THE_FLOOR * problem.floor) ** 2
+
+
+def agreement(problem: Problem, proof: Float[np.ndarray, "K"]) -> str:
+    """What to say where nothing is named; `proof` are the mean squared errors on motions never fitted [rad^2], (K,)."""
+    floor = problem.floor
+    if proof.mean() <= (AT_THE_FLOOR * floor) ** 2:
         return "Your simulator agrees with these recordings down to their noise; nothing is missing that they could show."
-    left = f"{1e3 * error:.2g} mrad on motions never fitted, where noise and repetition explain {1e3 * floor:.2g}"
-    return f"Your simulator nearly agrees with these recordings: {left}. That is too little to say what is missing, if anything is."
+    left = f"{1e3 * rms(np.sqrt(proof)):.2g} mrad on motions never fitted, where noise and repetition explain {1e3 * floor:.2g}"
+    worst = int(np.argmax(proof))
+    alone = len(proof) > 1 and is_real(problem, proof) and np.delete(proof, worst).mean() <= (AT_THE_FLOOR * floor) ** 2
+    one = f", all of it in {problem.proof[worst].episode.name}" if alone else ""
+    nearly = f"Your simulator nearly agrees with these recordings: {left}{one}."
+    return f"{nearly} That is too little to say what is missing, if anything is."
 
 
 def falls_short(problem: Problem, first: Float[np.ndarray, "M"], left: Float[np.ndarray, "M"]) -> bool:

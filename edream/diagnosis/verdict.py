@@ -14,7 +14,7 @@ from edream.diagnosis.backward import backward, refitted_without
 from edream.diagnosis.candidates import Candidate, placement
 from edream.diagnosis.decide import ALIKE, Round, forward, rivals
 from edream.diagnosis.descent import Fit, polish
-from edream.diagnosis.left_out import REAL_GAP, agreement, bootstrap, falls_short, is_real, left_out_errors, proof_errors
+from edream.diagnosis.left_out import agreement, bootstrap, falls_short, is_left, is_real, left_out_errors, proof_errors
 from edream.diagnosis.nuisance import fit_nuisance, published, with_shares
 from edream.diagnosis.problem import Problem, nuisance_placements
 from edream.diagnosis.remainder import Remainder, find_remainder
@@ -108,8 +108,7 @@ def diagnose(problem: Problem, done: Callable[[str, int], object] = lambda text,
     fit, kept = backward(problem, fit, [t.candidate for t in taken], rounds[0].errors)
     trials, heard = left_alone(problem, fit, rounds, [t for t in taken if t.candidate in kept])
     left = left_out_errors(problem, fit) if trials else rounds[0].errors
-    gap = max(rms(np.sqrt(rounds[0].errors)), rms(ladder[1][1])) / problem.floor
-    short = falls_short(problem, rounds[0].errors, left) if trials else gap > REAL_GAP
+    short = falls_short(problem, rounds[0].errors, left) if trials else is_left(problem, left, ladder[1][1] ** 2)
     numbers: list[Named] = []
     suspects: list[Suspect] = []
     # numbers that are strange beside a real gap have made up for it; they are not what is missing
@@ -143,7 +142,7 @@ def diagnose(problem: Problem, done: Callable[[str, int], object] = lambda text,
         ladder.append((f"+ {also[0]}{more}", np.sqrt(proof_errors(problem, fit))))
     after = np.sqrt(proof_errors(problem, fit))
     agrees = verdict == "none"
-    said = agreement(rms(after), problem.floor) if agrees else sentence(verdict, effects, remainder, problem.robot.joints)
+    said = agreement(problem, after**2) if agrees else sentence(verdict, effects, remainder, problem.robot.joints)
     return Diagnosis(
         problem=problem,
         verdict=verdict,

@@ -1,6 +1,7 @@
 """Parts of the diagnosis that can be judged alone."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from edream.diagnosis.backward import refitted_without
 from edream.diagnosis.candidates import Candidate, alike, groups_of, placement
 from edream.diagnosis.decide import comes_down_to, rivals, simplest, stands, told_apart
 from edream.diagnosis.descent import Fit, begin, descend
-from edream.diagnosis.left_out import agreement, falls_short, left_out_errors
+from edream.diagnosis.left_out import agreement, falls_short, is_left, left_out_errors
 from edream.diagnosis.nuisance import fit_nuisance, published
 from edream.diagnosis.problem import Problem, Settings, credible, measurement_noise, nuisance_placements, prepare
 from edream.diagnosis.remainder import chosen_terms
@@ -203,9 +204,24 @@ def test_a_few_motions_stand_for_all_although_some_are_off_by_something_of_their
 
 
 def test_agreement_is_said_only_where_little_more_than_noise_is_left() -> None:
-    assert agreement(0.40e-3, 0.393e-3).startswith("Your simulator agrees with these recordings down to their noise")
-    said = agreement(0.602e-3, 0.393e-3)
-    assert "0.6 mrad on motions never fitted" in said and "explain 0.39" in said and "down to their noise" not in said
+    motions = [SimpleNamespace(episode=SimpleNamespace(name=name)) for name in ("swing", "nod", "turn")]
+    problem = SimpleNamespace(floor=0.393e-3, proof=motions)
+    assert agreement(problem, np.full(3, 0.40e-3**2)).startswith("Your simulator agrees with these recordings down to their noise")
+    said = agreement(problem, np.full(3, 0.602e-3**2))
+    assert "0.6 mrad on motions never fitted" in said and "explain 0.39." in said and "down to their noise" not in said
+    assert "2.1 mrad on motions never fitted, where noise and repetition explain 0.39, all of it in nod." in agreement(
+        problem, np.array([0.3e-3, 3.6e-3, 0.4e-3]) ** 2
+    )
+
+
+@pytest.mark.parametrize(
+    ("left", "proof", "real"),
+    [(0.8, [8.0, 1.0, 0.7], False), (0.8, [0.9, 1.0, 0.7], False), (3.0, [2.0, 4.0, 3.0], True), (1.4, [1.9, 2.0, 2.0], True)],
+)
+def test_a_gap_that_rests_on_one_motion_is_none_that_something_is_missing_for(left: float, proof: list[float], real: bool) -> None:
+    """Root-mean-square errors in floors: of nine motions each while it was left out, and of three that were never fitted."""
+    problem = SimpleNamespace(floor=1.0, settings=SimpleNamespace(seed=0))
+    assert is_left(problem, np.full(9, left) ** 2, np.array(proof) ** 2) is real
 
 
 def test_a_real_gap_that_nothing_explains_is_not_called_agreement() -> None:
