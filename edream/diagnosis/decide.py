@@ -14,18 +14,17 @@ from edream.diagnosis.candidates import Candidate, acted_on, confused_with, plac
 from edream.diagnosis.descent import Fit, begin, descend, polish
 from edream.diagnosis.left_out import (
     HALF,
-    MATERIAL,
+    asks_for_more,
     bootstrap,
     falls_short,
     is_brief,
     is_material,
     is_real,
-    joint_errors,
     leaves_no_gap,
     left_out_errors,
 )
 from edream.diagnosis.narrowing import narrowed
-from edream.diagnosis.problem import VISIBLE, Problem
+from edream.diagnosis.problem import Problem
 from edream.diagnosis.remainder import Remainder, find_remainder
 from edream.diagnosis.rough import rough_candidates, searched
 from edream.diagnosis.screen import Scored, extend
@@ -53,7 +52,6 @@ from edream.diagnosis.trials import (
 from edream.sim.least_squares import worth
 
 ALIKE = 0.9  # a rival that closes this share of what the winner closes may be the true one
-ELSEWHERE = 1.5  # floors of error on a joint where nothing is named: looked into, however large the gap was at first
 NEAR, RIVALS = 0.75, 5  # of the best one's gain; so many go on
 BEHIND = 0.6  # of it, where the best leaves a gap that can be seen
 NARROW = 0.3  # of a quantity's range: an interval that says something
@@ -98,12 +96,8 @@ def forward(
         problem, fit = with_short_steps(problem, fit)
         errors = left_out_errors(problem, fit)
         first = rounds[0].errors if rounds else errors
-        left, whole = (float(np.sqrt(e.mean())) - problem.floor for e in (errors, first))
         bare = untouched(problem, [one.taken.candidate for one in rounds if one.taken is not None])
-        errors_of = dict(zip(problem.joints, joint_errors(problem, fit), strict=True))
-        elsewhere = any(errors_of[joint] > ELSEWHERE * problem.floor for joint in bare)
-        # the mean over many joints hides what is left on one
-        told = elsewhere or left > max(VISIBLE * problem.floor, MATERIAL * whole if rounds else 0.0)
+        told = asks_for_more(problem, fit, first, errors, bare)
         if not told or (len(rounds) >= STAND_INS and falls_short(problem, first, errors)):
             rounds.append(Round(fit, errors, [], [], None))
             break

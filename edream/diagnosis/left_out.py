@@ -18,6 +18,7 @@ LENGTHS = (1.0, 0.3)  # of a step
 REAL_GAP = 1.8  # floors of error that are a gap worth a name
 AT_THE_FLOOR = 1.2  # floors of error on motions never fitted that are still called agreement
 HALF = 0.5  # of the squared gap: a name that closes less of a real one may be a stand-in
+ELSEWHERE = 1.5  # floors of error on a joint where nothing is named: looked into, however large the gap was at first
 MATERIAL = 0.05  # of the gap at first, in root-mean-square error, that an effect beside others must close
 ASTRAY = 1.2  # times the fit's own error: a motion left out that is so much worse may say more about the step than about the model
 
@@ -97,13 +98,19 @@ def gap_above_floor(problem: Problem, errors: Float[np.ndarray, "M"]) -> float:
     return max(float(errors.mean()) - problem.floor**2, ((1.0 + VISIBLE) ** 2 - 1.0) * problem.floor**2)
 
 
-def is_left(problem: Problem, left: Float[np.ndarray, "M"], proof: Float[np.ndarray, "K"]) -> bool:
-    """Whether a real gap is left with nothing named, on motions left out or never fitted, that does not rest on one of them.
+def is_borne_out(problem: Problem, errors: Float[np.ndarray, "M"], floors: float) -> bool:
+    """Whether errors on motions are more than so many floors however the motions are drawn: not because of one or two of them.
 
     Where a servo at the limit of its torque just holds, or just not, the last digit of a number decides over a whole motion.
     """
-    low, _ = bootstrap(np.concatenate([left, proof]), problem.settings.seed)
-    return (is_real(problem, left) or is_real(problem, proof)) and low > (AT_THE_FLOOR * problem.floor) ** 2
+    low, _ = bootstrap(errors, problem.settings.seed)
+    return low > (floors * problem.floor) ** 2
+
+
+def is_left(problem: Problem, left: Float[np.ndarray, "M"], proof: Float[np.ndarray, "K"]) -> bool:
+    """Whether a real gap is left with nothing named, on motions left out or never fitted, and all of them together bear it out."""
+    real = is_real(problem, left) or is_real(problem, proof)
+    return real and is_borne_out(problem, np.concatenate([left, proof]), AT_THE_FLOOR)
 
 
 def agreement(problem: Problem, proof: Float[np.ndarray, "K"]) -> str:
@@ -191,3 +198,26 @@ def is_material(
     gap = float(np.sqrt(first.mean())) - problem.floor
     gain = float(np.sqrt(without[0].mean()) - np.sqrt(beside[0].mean()))
     return gain >= MATERIAL * gap or gained_on(problem, bare, without[1], beside[1]) >= VISIBLE * problem.floor
+
+
+def asks_for_more(
+    problem: Problem, fit: Fit, first: Float[np.ndarray, "M"], errors: Float[np.ndarray, "M"], bare: frozenset[str]
+) -> bool:
+    """Whether what is left asks for an effect, or for one more.
+
+    It does where it can be seen, and matters beside the gap at first; where the fit itself is at the floor, only if motions left
+    out bear it out together. What is left on a `bare` joint alone, on which nothing is named, the mean over many joints hides.
+
+    Args:
+        problem: its floor.
+        fit: the model as it is.
+        first: errors on motions left out [rad^2], (M,), with nothing named; `errors`: as it is, the same where nothing is named.
+        bare: the joints on which nothing is named.
+    """
+    of_joints = dict(zip(problem.joints, joint_errors(problem, fit), strict=True))
+    if any(of_joints[joint] > ELSEWHERE * problem.floor for joint in bare):
+        return True
+    left, whole = (float(np.sqrt(e.mean())) - problem.floor for e in (errors, first))
+    if left <= max(VISIBLE * problem.floor, 0.0 if first is errors else MATERIAL * whole):
+        return False
+    return not leaves_no_gap(problem, fit) or is_borne_out(problem, errors, 1.0 + VISIBLE)

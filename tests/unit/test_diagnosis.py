@@ -13,7 +13,7 @@ from edream.diagnosis.backward import refitted_without
 from edream.diagnosis.candidates import Candidate, alike, groups_of, placement
 from edream.diagnosis.decide import comes_down_to, rivals, simplest, stands, told_apart
 from edream.diagnosis.descent import Fit, begin, descend
-from edream.diagnosis.left_out import agreement, falls_short, is_left, left_out_errors
+from edream.diagnosis.left_out import agreement, asks_for_more, falls_short, is_left, left_out_errors
 from edream.diagnosis.nuisance import fit_nuisance, published
 from edream.diagnosis.problem import Problem, Settings, credible, measurement_noise, nuisance_placements, prepare
 from edream.diagnosis.remainder import chosen_terms
@@ -222,6 +222,18 @@ def test_a_gap_that_rests_on_one_motion_is_none_that_something_is_missing_for(le
     """Root-mean-square errors in floors: of nine motions each while it was left out, and of three that were never fitted."""
     problem = SimpleNamespace(floor=1.0, settings=SimpleNamespace(seed=0))
     assert is_left(problem, np.full(9, left) ** 2, np.array(proof) ** 2) is real
+
+
+@pytest.mark.parametrize(
+    ("rms", "errors", "asks"), [(0.9, [8.0] + 8 * [0.9], False), (0.9, 9 * [1.3], True), (1.5, [8.0] + 8 * [0.9], True)]
+)
+def test_where_the_fit_is_at_the_floor_motions_left_out_ask_for_an_effect_together(
+    rms: float, errors: list[float], asks: bool
+) -> None:
+    """All in floors; one motion that a servo at its limit just fails in says nothing of what is missing."""
+    problem = SimpleNamespace(floor=1.0, joints=("tilt",), settings=SimpleNamespace(seed=0))
+    fit, squares = SimpleNamespace(rms=rms, residual=np.full(6, rms)), np.array(errors) ** 2
+    assert asks_for_more(problem, fit, squares, squares, frozenset()) is asks
 
 
 def test_a_real_gap_that_nothing_explains_is_not_called_agreement() -> None:

@@ -346,7 +346,6 @@ def _rounds(monkeypatch: pytest.MonkeyPatch, left: list[float], joint_errors: li
     told = {
         "with_short_steps": lambda problem, fit: (problem, fit),
         "left_out_errors": lambda problem, fit: np.full(6, next(remaining)),
-        "joint_errors": lambda problem, fit: np.array(joint_errors),
         "screen_twice": lambda problem, fit, done: [],
         "try_best": lambda problem, fit, errors, scored, done: [_trial("spring", 0.3)],
         "with_bold": lambda problem, fit, errors, trials, done: trials,
@@ -363,8 +362,9 @@ def _rounds(monkeypatch: pytest.MonkeyPatch, left: list[float], joint_errors: li
     for name, stand_in in told.items():
         monkeypatch.setattr(decide, name, stand_in)
     monkeypatch.setattr(left_out, "gained_on", lambda problem, joints, before, after: 0.0)
+    monkeypatch.setattr(left_out, "joint_errors", lambda problem, fit: np.array(joint_errors))
     problem = SimpleNamespace(floor=1.0, joints=("tilt", "pan"), settings=SimpleNamespace(most=4))
-    return decide.forward(problem, None)[2]
+    return decide.forward(problem, SimpleNamespace(rms=9.0))[2]
 
 
 @pytest.mark.parametrize(("left", "names"), [([100.0, 90.0, 80.0, 70.0], 2), ([100.0, 90.0, 40.0, 1.0], 3)])
@@ -381,8 +381,8 @@ def test_little_is_looked_into_after_a_large_effect_where_it_is_left_on_another_
     monkeypatch: pytest.MonkeyPatch, left: list[float], joint_errors: list[float], looked: bool
 ) -> None:
     """A twentieth of the first gap is ten floors; 0.2 are left, or none in the mean over joints, which hides what one is off by."""
-    last = len(left) - 1
-    assert bool(_rounds(monkeypatch, left, joint_errors)[last].trials) is (looked if last else 2.0 in joint_errors)
+    rounds = _rounds(monkeypatch, left, joint_errors)
+    assert bool(rounds[len(left) - 1].trials) is (looked if len(left) > 1 else 2.0 in joint_errors)
 
 
 @pytest.mark.parametrize(("errors", "gap"), [(0.8, 0.21), (1.1, 0.21), (4.0, 3.0)])
