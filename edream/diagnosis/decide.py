@@ -246,18 +246,24 @@ def simplest(problem: Problem, passing: Sequence[Trial]) -> Trial | None:
     return best if same is None or told_apart(problem, same, best) else same
 
 
-def comes_down_to(problem: Problem, trial: Trial) -> Candidate | None:
-    """The simpler effect that a refitted one is, where its interval is narrow and holds the value that makes it so."""
+def comes_down_to(problem: Problem, trial: Trial, plain: Candidate) -> bool:
+    """Whether a refitted effect is its special case, by an interval that is narrow and holds the value that makes it so.
+
+    Intervals are true at the end of a search: before, one may seem to know what usual numbers make up for.
+    """
     special = load("effects", trial.candidate.effect, Effect).special
-    if special is None:
-        return None
-    effect, quantity, value = special
+    if special is None or Candidate(special[0], trial.candidate.targets) != plain:
+        return False
+    _, quantity, value = special
     place = placement(problem, trial.candidate)
     parameters = place.effect.parameters(problem.robot.model, place.targets)
     box = next(p.high - p.low for p in parameters if p.name == quantity)
-    low, high = trial.fit.intervals()[place.full_name(quantity)]
-    known = low <= value <= high and high - low < NARROW * box
-    return Candidate(effect, trial.candidate.targets) if known else None
+
+    def known(fit: Fit) -> bool:
+        low, high = fit.intervals()[place.full_name(quantity)]
+        return low <= value <= high and high - low < NARROW * box
+
+    return known(trial.fit) and (trial.fit.ended or known(polish(trial.fit)))
 
 
 def with_rough(
@@ -377,7 +383,7 @@ def rivals(problem: Problem, trials: Sequence[Trial], winner: Trial) -> list[tup
 
     An effect that comes down to the winner is no other answer.
     """
-    others = [t for t in trials if t.candidate != winner.candidate and comes_down_to(problem, t) != winner.candidate]
+    others = [t for t in trials if t.candidate != winner.candidate and not comes_down_to(problem, t, winner.candidate)]
     return [(trial, told_apart(problem, trial, winner)) for trial in others]
 
 

@@ -385,12 +385,6 @@ def test_little_is_looked_into_after_a_large_effect_where_it_is_left_on_another_
     assert bool(rounds[len(left) - 1].trials) is (looked if len(left) > 1 else 2.0 in joint_errors)
 
 
-@pytest.mark.parametrize(("errors", "gap"), [(0.8, 0.21), (1.1, 0.21), (4.0, 3.0)])
-def test_a_gap_that_cannot_be_seen_counts_as_the_least_that_can(errors: float, gap: float) -> None:
-    """So what is gained on one joint is a share that means something where the mean over many is at the floor; squared floors."""
-    assert left_out.gap_above_floor(SimpleNamespace(floor=1.0), np.full(6, errors)) == pytest.approx(gap)
-
-
 @pytest.mark.parametrize(("bare", "worth"), [({"pan"}, True), ({"tilt"}, False), (set(), False)])
 def test_a_small_gain_is_worth_a_name_where_it_is_made_on_a_joint_without_one(bare: set[str], worth: bool) -> None:
     """A payload, which acts on no joint alone, takes half a floor from pan and leaves tilt; a twentieth of the first gap is ten."""

@@ -1,0 +1,47 @@
+"""What errors on motions that a fit did not see are worth."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from edream.diagnosis.left_out import agreement, asks_for_more, gap_above_floor, is_left
+
+
+def test_agreement_is_said_only_where_little_more_than_noise_is_left() -> None:
+    motions = [SimpleNamespace(episode=SimpleNamespace(name=name)) for name in ("swing", "nod", "turn")]
+    problem = SimpleNamespace(floor=0.393e-3, proof=motions)
+    assert agreement(problem, np.full(3, 0.40e-3**2)).startswith("Your simulator agrees with these recordings down to their noise")
+    said = agreement(problem, np.full(3, 0.602e-3**2))
+    assert "0.6 mrad on motions never fitted" in said and "explain 0.39." in said and "down to their noise" not in said
+    assert "2.1 mrad on motions never fitted, where noise and repetition explain 0.39, all of it in nod." in agreement(
+        problem, np.array([0.3e-3, 3.6e-3, 0.4e-3]) ** 2
+    )
+
+
+@pytest.mark.parametrize(
+    ("left", "proof", "real"),
+    [(0.8, [8.0, 1.0, 0.7], False), (0.8, [0.9, 1.0, 0.7], False), (3.0, [2.0, 4.0, 3.0], True), (1.4, [1.9, 2.0, 2.0], True)],
+)
+def test_a_gap_that_rests_on_one_motion_is_none_that_something_is_missing_for(left: float, proof: list[float], real: bool) -> None:
+    """Root-mean-square errors in floors: of nine motions each while it was left out, and of three that were never fitted."""
+    problem = SimpleNamespace(floor=1.0, settings=SimpleNamespace(seed=0))
+    assert is_left(problem, np.full(9, left) ** 2, np.array(proof) ** 2) is real
+
+
+@pytest.mark.parametrize(
+    ("rms", "errors", "asks"), [(0.9, [8.0] + 8 * [0.9], False), (0.9, 9 * [1.3], True), (1.5, [8.0] + 8 * [0.9], True)]
+)
+def test_where_the_fit_is_at_the_floor_motions_left_out_ask_for_an_effect_together(
+    rms: float, errors: list[float], asks: bool
+) -> None:
+    """All in floors; one motion that a servo at its limit just fails in says nothing of what is missing."""
+    problem = SimpleNamespace(floor=1.0, joints=("tilt",), settings=SimpleNamespace(seed=0))
+    fit, squares = SimpleNamespace(rms=rms, residual=np.full(6, rms)), np.array(errors) ** 2
+    assert asks_for_more(problem, fit, squares, squares, frozenset()) is asks
+
+
+@pytest.mark.parametrize(("errors", "gap"), [(0.8, 0.21), (1.1, 0.21), (4.0, 3.0)])
+def test_a_gap_that_cannot_be_seen_counts_as_the_least_that_can(errors: float, gap: float) -> None:
+    """So what is gained on one joint is a share that means something where the mean over many is at the floor; squared floors."""
+    assert gap_above_floor(SimpleNamespace(floor=1.0), np.full(6, errors)) == pytest.approx(gap)
