@@ -6,12 +6,15 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from edream.diagnosis.candidates import Candidate, acted_on, untouched
-from edream.diagnosis.descent import Fit, begin, descend
+from edream.diagnosis.candidates import Candidate, acted_on, placement, untouched
+from edream.diagnosis.descent import Fit, begin, descend, polish
 from edream.diagnosis.left_out import bootstrap, gap_above_floor, is_material, left_out_errors
 from edream.diagnosis.problem import Problem
 from edream.diagnosis.starts import as_published
 from edream.sim.least_squares import worth
+
+BOUND = 1e-3  # of the unit box: nearer, a number sits at its bound
+ROUNDING = 1e-9  # a bound of a box that went through its logarithm
 
 
 def backward(problem: Problem, fit: Fit, named: Sequence[Candidate], first: Float[np.ndarray, "M"]) -> tuple[Fit, list[Candidate]]:
@@ -32,6 +35,31 @@ def backward(problem: Problem, fit: Fit, named: Sequence[Candidate], first: Floa
         if not (gains and is_material(problem, first, (without_it, refitted), (errors, fit), untouched(problem, others))):
             fit, kept = refitted, others
     return fit, kept
+
+
+def still_standing(problem: Problem, fit: Fit, kept: Sequence[Candidate]) -> tuple[Fit, list[Candidate]]:
+    """What stayed once others went out, without those that were taken beside them and whose intervals hold their absence since."""
+    left = list(kept)
+    for candidate in reversed(kept):
+        fit = fit if fit.ended or len(left) < 2 else polish(fit)  # where intervals are true
+        if len(left) > 1 and not stands(problem, candidate, fit):
+            fit, left = refitted_without(problem, fit, candidate), [one for one in left if one != candidate]
+    return fit, left
+
+
+def stands(problem: Problem, candidate: Candidate, fit: Fit) -> bool:
+    """Whether some parameter of the effect has an interval that excludes its absence, and none of those sits at a bound."""
+    place = placement(problem, candidate)
+    intervals, unit = fit.intervals(), dict(zip(fit.space.names, fit.unit, strict=True))
+    away = []
+    for parameter in place.parameters(problem.robot.model):
+        if parameter.absent is None:
+            continue
+        low, high = intervals[parameter.name]
+        excludes = not low - ROUNDING * abs(low) <= parameter.absent <= high + ROUNDING * abs(high)
+        inside = BOUND <= unit[parameter.name] <= 1.0 - BOUND  # in the box that is searched, logarithmic for a limit
+        away.append(excludes and inside)
+    return any(away)
 
 
 def refitted_without(problem: Problem, fit: Fit, *candidates: Candidate) -> Fit:

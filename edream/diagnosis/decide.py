@@ -9,7 +9,7 @@ from jaxtyping import Float
 from edream.catalog import load
 from edream.core.effect import Effect
 from edream.diagnosis.astray import screen_twice
-from edream.diagnosis.backward import without
+from edream.diagnosis.backward import stands, without
 from edream.diagnosis.candidates import Candidate, acted_on, confused_with, placement, untouched
 from edream.diagnosis.descent import Fit, begin, descend, polish
 from edream.diagnosis.left_out import (
@@ -58,8 +58,6 @@ NARROW = 0.3  # of a quantity's range: an interval that says something
 AS_WELL = 0.95  # of the share that an effect closes: its special case closes as much, and needs less to be believed
 DISTINCT = 0.5  # of the floor squared, or of the error where that is larger
 FEWEST = 3  # motions that a difference may rest on
-BOUND = 1e-3  # of the unit box: nearer, a number sits at its bound
-ROUNDING = 1e-9  # a bound of a box that went through its logarithm
 TWIN_STEPS, FIRST_STEPS = 6, 2  # of a twin, whose joint's numbers have made up for it: a lag beside damping and inertia goes slowly
 FORLORN = 0.2  # of the best one's gain on few motions: a twin that has gained less by its first steps is none
 CLEARLY = 0.75  # of the squared error above the floor that a stand-in leaves
@@ -361,21 +359,6 @@ def heard(
 def passes(problem: Problem, trial: Trial) -> bool:
     """Whether a refitted candidate may be named: large enough, sure, its own numbers away from nothing and from their bounds."""
     return trial.closed >= problem.settings.gain and trial.sure and stands(problem, trial.candidate, trial.fit)
-
-
-def stands(problem: Problem, candidate: Candidate, fit: Fit) -> bool:
-    """Whether some parameter of the effect has an interval that excludes its absence, and none of those sits at a bound."""
-    place = placement(problem, candidate)
-    intervals, unit = fit.intervals(), dict(zip(fit.space.names, fit.unit, strict=True))
-    away = []
-    for parameter in place.parameters(problem.robot.model):
-        if parameter.absent is None:
-            continue
-        low, high = intervals[parameter.name]
-        excludes = not low - ROUNDING * abs(low) <= parameter.absent <= high + ROUNDING * abs(high)
-        inside = BOUND <= unit[parameter.name] <= 1.0 - BOUND  # in the box that is searched, logarithmic for a limit
-        away.append(excludes and inside)
-    return any(away)
 
 
 def rivals(problem: Problem, trials: Sequence[Trial], winner: Trial) -> list[tuple[Trial, bool]]:

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from edream.catalog import load
 from edream.core.effect import Effect
 from edream.core.parameters import Parameter
-from edream.diagnosis.backward import backward, refitted_without
+from edream.diagnosis.backward import backward, refitted_without, still_standing
 from edream.diagnosis.candidates import Candidate, placement
 from edream.diagnosis.decide import ALIKE, Round, forward, rivals
 from edream.diagnosis.descent import Fit, polish
@@ -106,6 +106,7 @@ def diagnose(problem: Problem, done: Callable[[str, int], object] = lambda text,
     taken = [one.taken for one in rounds if one.taken is not None]
     ladder += [(_label(t), np.sqrt(proof_errors(problem, t.fit))) for t in taken]
     fit, kept = backward(problem, fit, [t.candidate for t in taken], rounds[0].errors)
+    fit, kept = still_standing(problem, fit, kept) if len(kept) < len(taken) else (fit, kept)
     trials, heard = left_alone(problem, fit, rounds, [t for t in taken if t.candidate in kept])
     left = left_out_errors(problem, fit) if trials else rounds[0].errors
     short = falls_short(problem, rounds[0].errors, left) if trials else is_left(problem, left, ladder[1][1] ** 2)

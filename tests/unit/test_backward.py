@@ -39,6 +39,20 @@ def test_an_earlier_effect_must_gain_what_is_asked_of_a_later_one(
     assert set(bare) <= {frozenset({"pan"})}
 
 
+@pytest.mark.parametrize(("standing", "stayed"), [({"load_friction", "payload"}, 2), ({"load_friction"}, 1), (set(), 1)])
+def test_what_no_longer_stands_once_others_went_out_goes_out_too(
+    monkeypatch: pytest.MonkeyPatch, standing: set[str], stayed: int
+) -> None:
+    """A delay was named beside a ripple; without that its interval held none, and it was still named."""
+    fit = SimpleNamespace(ended=True)
+    monkeypatch.setattr(steps, "stands", lambda problem, candidate, fit: candidate.effect in standing)
+    monkeypatch.setattr(steps, "refitted_without", lambda problem, fit, candidate: SimpleNamespace(ended=False, gone=candidate))
+    monkeypatch.setattr(steps, "polish", lambda fit: fit)
+    ended, kept = steps.still_standing(SimpleNamespace(), fit, [FRICTION, PAYLOAD])  # type: ignore[arg-type]
+    assert kept == [FRICTION, PAYLOAD][:stayed]
+    assert ended is fit if stayed > 1 else ended.gone is PAYLOAD  # type: ignore[attr-defined]
+
+
 @pytest.mark.parametrize("gone", [True, False])
 def test_what_is_left_alone_has_the_first_rounds_candidates_for_rivals(monkeypatch: pytest.MonkeyPatch, gone: bool) -> None:
     """A gear was named without a doubt that had stood beside a coupling; alone it does no better than a payload."""
