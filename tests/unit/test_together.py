@@ -2,8 +2,10 @@
 
 import json
 import os
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
+from time import monotonic, sleep
 
 import numpy as np
 import pytest
@@ -50,10 +52,23 @@ def trainer(folder: Path, options: DreamOptions) -> Trainer:
     return Trainer(small_scenes(folder / "images"), None, {}, options, 0, variants(options, ("real", "sim", "crop")))
 
 
-def threads() -> list[str]:
-    """Threads of this process that gloo has begun; one that ends with them may be aborted. Empty where /proc does not tell."""
-    names = [(one / "comm").read_text().strip() for one in Path("/proc/self/task").glob("*")]
-    return [name for name in names if "gloo" in name]
+def threads(patience: float = 5.0) -> list[str]:
+    """Threads of this process that gloo has begun and that stay; one that ends with them may be aborted.
+
+    Empty where /proc does not tell. One that was joined is still listed for a moment, which is long on a busy machine.
+    """
+    until = monotonic() + patience
+    while (left := [name for name in _names() if "gloo" in name]) and monotonic() < until:
+        sleep(0.05)
+    return left
+
+
+def _names() -> list[str]:
+    names = []
+    for one in Path("/proc/self/task").glob("*"):
+        with suppress(FileNotFoundError, ProcessLookupError):  # it has ended since it was listed
+            names.append((one / "comm").read_text().strip())
+    return names
 
 
 def _one_of_two(number: int, folder: Path) -> None:
