@@ -74,9 +74,9 @@ def _tiles(gap: Mapping[str, float], kept: int) -> list[tuple[str, str, str]]:
 def _gap_figures(found: Mapping[str, Any]) -> list[Figure]:
     steps = [(_step(one["step"]), one["motions_rad"]) for one in found["ladder.json"]]
     errors = found["errors.json"]
-    if len(steps) > 2:  # the last step was refitted once more, with everything together
+    if len(steps) > 2:  # what stayed was refitted once more; earlier steps may have gone out again
         final = np.sqrt(np.mean(np.square(errors["after"][len(errors["motions"]) - errors["proof"] :]), axis=1)).tolist()
-        steps = [*steps[:2], (steps[2][0], final)] if len(steps) == 3 else [*steps, ("all together, refitted", final)]
+        steps = [*steps[:2], (steps[2][0], final)] if len(steps) == 3 else [*steps, ("what stayed, refitted", final)]
     return [
         ladder(steps, found["summary.json"]["gap"]["noise_floor_rad"]),
         maps(errors["joints"], errors["motions"], errors["before"], errors["after"], errors["proof"]),
