@@ -99,7 +99,9 @@ def gap_above_floor(problem: Problem, errors: Float[np.ndarray, "M"]) -> float:
 
 
 def is_borne_out(problem: Problem, errors: Float[np.ndarray, "M"], floors: float) -> bool:
-    """Whether errors on motions are more than so many floors however the motions are drawn: not because of one or two of them.
+    """Whether mean squared errors [rad^2], (M,), are more than so many `floors`, squared, however their motions are drawn again.
+
+    So not because of one or two of them: the low end of the 95 % bootstrap interval of their mean decides.
 
     Where a servo at the limit of its torque just holds, or just not, the last digit of a number decides over a whole motion.
     """
@@ -108,7 +110,10 @@ def is_borne_out(problem: Problem, errors: Float[np.ndarray, "M"], floors: float
 
 
 def is_left(problem: Problem, left: Float[np.ndarray, "M"], proof: Float[np.ndarray, "K"]) -> bool:
-    """Whether a real gap is left with nothing named, on motions left out or never fitted, and all of them together bear it out."""
+    """Whether a real gap is left with nothing named, and all motions together bear it out.
+
+    `left` and `proof` are the mean squared errors [rad^2] of motions left out, (M,), and of those never fitted, (K,).
+    """
     real = is_real(problem, left) or is_real(problem, proof)
     return real and is_borne_out(problem, np.concatenate([left, proof]), AT_THE_FLOOR)
 

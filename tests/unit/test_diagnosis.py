@@ -10,9 +10,9 @@ from benchmarks.blind.cases import robot_of
 from edream.core.errors import EdreamError
 from edream.core.parameters import Parameter
 from edream.diagnosis import decide
-from edream.diagnosis.backward import refitted_without
+from edream.diagnosis.backward import refitted_without, stands
 from edream.diagnosis.candidates import Candidate, alike, groups_of, placement
-from edream.diagnosis.decide import comes_down_to, rivals, simplest, stands, told_apart
+from edream.diagnosis.decide import comes_down_to, rivals, simplest, told_apart
 from edream.diagnosis.descent import Fit, begin, descend
 from edream.diagnosis.left_out import falls_short, left_out_errors
 from edream.diagnosis.nuisance import fit_nuisance, published
