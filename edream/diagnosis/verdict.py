@@ -1,6 +1,6 @@
 """From evidence to a sentence: named, none, cannot tell, or unnamed."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -9,50 +9,23 @@ from jaxtyping import Float
 
 from edream.catalog import load
 from edream.core.effect import Effect
-from edream.core.parameters import Parameter
 from edream.diagnosis.backward import backward, refitted_without, still_standing
 from edream.diagnosis.candidates import Candidate, placement
 from edream.diagnosis.decide import ALIKE, Round, forward, rivals
 from edream.diagnosis.descent import Fit, polish
 from edream.diagnosis.left_out import agreement, bootstrap, falls_short, is_left, is_real, left_out_errors, proof_errors
+from edream.diagnosis.naming import Named, numbers_of, strange_numbers
 from edream.diagnosis.nuisance import fit_nuisance, published, with_shares
 from edream.diagnosis.problem import Problem, nuisance_placements
 from edream.diagnosis.remainder import Remainder, find_remainder
-from edream.diagnosis.steps import in_continuous_time
-from edream.diagnosis.suspects import ORDINARY, Suspect, find_suspects, most_ordinary, what_stays, with_ordinary_numbers
+from edream.diagnosis.suspects import Suspect, find_suspects, most_ordinary, what_stays, with_ordinary_numbers
 from edream.diagnosis.trials import Trial, is_another, judged
 from edream.sim.objective import rms
-from edream.sim.simulation import unit_at
 
 CLOSED = 0.9  # share of the gap, in root-mean-square error, from which what is left is not worth a formula
 AS_GOOD = 1.1  # times the error of names and a formula that a formula alone may have and be preferred
 
 Verdict = Literal["named", "none", "cannot_tell", "unnamed"]
-
-
-@dataclass(frozen=True)
-class Named:
-    """One effect that the simulator lacks.
-
-    Attributes:
-        name, summary: its entry in the library and the words of the sentence.
-        targets: joints (or bodies) it acts on.
-        values, intervals: its parameters by quantity, with 95 % intervals.
-        units: their units.
-        closed: share of the gap then remaining that it closed on left-out motions.
-        runner_up: the next best candidate, and the share that it closed.
-        confusable_with: candidates that these motions cannot tell from it.
-    """
-
-    name: str
-    summary: str
-    targets: tuple[str, ...]
-    values: Mapping[str, float]
-    intervals: Mapping[str, tuple[float, float]]
-    units: Mapping[str, str]
-    closed: float
-    runner_up: tuple[str, float] | None
-    confusable_with: tuple[str, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,24 +192,9 @@ def _named(problem: Problem, fit: Fit, trial: Trial, rounds: Sequence[Round], ta
     )
     different = [other for other, _ in others if is_another(other, trial)]
     runner = (different[0].candidate.label, different[0].closed) if different else None
-    values, intervals, units = numbers_of(problem, fit, trial.candidate)
+    values, intervals, units = numbers_of(problem, fit, placement(problem, trial.candidate))
     effect = load("effects", trial.candidate.effect, Effect)
     return Named(effect.name, effect.summary, trial.candidate.targets, values, intervals, units, trial.closed, runner, alike)
-
-
-def numbers_of(
-    problem: Problem, fit: Fit, candidate: Candidate
-) -> tuple[dict[str, float], dict[str, tuple[float, float]], dict[str, str]]:
-    """An effect's fitted quantities, their intervals and units, under their short names."""
-    place = placement(problem, candidate)
-    values, intervals = fit.space.mapping(fit.values), fit.intervals()
-    parameters = place.effect.parameters(problem.robot.model, place.targets)
-    full = {p.name: place.full_name(p.name) for p in parameters}
-    return (
-        {short: values[name] for short, name in full.items()},
-        {short: intervals[name] for short, name in full.items()},
-        {p.name: unit_at(p, problem.robot.model, place.targets) for p in parameters},
-    )
 
 
 def off_nominal(problem: Problem, fit: Fit) -> list[Named]:
@@ -258,50 +216,13 @@ def may_hide_more(strange: Sequence[Named], beside_names: bool) -> bool:
     return any(one.name == "servo_gain" or not beside_names for one in strange)
 
 
-def strange_numbers(problem: Problem, fit: Fit) -> list[Named]:
-    """Nuisance numbers that are far from the published ones, in the simulator's steps and in continuous time.
-
-    A servo's damping goes with its gain.
-    """
-    found = []
-    fitted = fit.space.mapping(fit.values)
-    steady = in_continuous_time(problem, fitted)
-    gains: dict[tuple[str, ...], float] = {}
-    for place in fit.objective.simulated.placements:
-        if place.effect.name not in problem.settings.nuisance:
-            continue
-        values, intervals, units = numbers_of(problem, fit, Candidate(place.effect.name, place.targets))
-        for parameter in load("effects", place.effect.name, Effect).parameters(problem.robot.model, place.targets):
-            usual = 1.0
-            if place.effect.name == "servo_gain" and parameter.start > 0.0:
-                gains[place.targets] = values[parameter.name] / parameter.start
-            elif place.effect.name == "viscous":
-                usual = gains.get(place.targets, 1.0)
-            full, (low, high) = place.full_name(parameter.name), intervals[parameter.name]
-            shift = steady[full] - fitted[full]
-            if is_strange(parameter, (low + min(0.0, shift), high + max(0.0, shift)), usual):
-                found.append(
-                    Named(place.effect.name, place.effect.summary, place.targets, values, intervals, units, float("nan"), None, ())
-                )
-    return found
-
-
-def is_strange(parameter: Parameter, interval: tuple[float, float], usual: float = 1.0) -> bool:
-    """Whether a number's interval excludes what may be expected, about its published value and about `usual` times that."""
-    if parameter.guessed:
-        return False
-    yardstick = 0.02 * (parameter.high - parameter.low) if parameter.scale == "linear" else 0.0
-    low, high = min(1.0, usual) * parameter.start, max(1.0, usual) * parameter.start
-    return interval[0] > ORDINARY[1] * high + yardstick or interval[1] < ORDINARY[0] * low - yardstick
-
-
 def with_suspects(problem: Problem, numbers: list[Named], suspects: Sequence[Suspect]) -> list[Named]:
     """Strange numbers, or the one effect that would make them ordinary: then that, which they may be confused with."""
     if not suspects:
         return numbers
     best, others = suspects[0], suspects[1:]
     effect = load("effects", best.candidate.effect, Effect)
-    values, intervals, units = numbers_of(problem, best.fit, best.candidate)
+    values, intervals, units = numbers_of(problem, best.fit, placement(problem, best.candidate))
     rivals_ = (*(Candidate(n.name, n.targets).label for n in numbers), *(s.candidate.label for s in others))
     return [Named(effect.name, effect.summary, best.candidate.targets, values, intervals, units, float("nan"), None, rivals_)]
 

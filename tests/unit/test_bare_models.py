@@ -11,9 +11,9 @@ from benchmarks.blind.cases import robot_of
 from edream import catalog
 from edream.core.effect import Effect
 from edream.core.episode import Episode
+from edream.diagnosis.naming import is_strange
 from edream.diagnosis.nuisance import fit_nuisance
 from edream.diagnosis.problem import Settings, nuisance_placements, prepare
-from edream.diagnosis.verdict import is_strange
 from edream.sim.beginning import beginning
 from edream.sim.objective import Objective
 from edream.sim.robot import RobotModel, load_robot

@@ -15,6 +15,7 @@ from edream.diagnosis.candidates import Candidate, alike, groups_of, placement
 from edream.diagnosis.decide import comes_down_to, rivals, simplest, told_apart
 from edream.diagnosis.descent import Fit, begin, descend
 from edream.diagnosis.left_out import falls_short, left_out_errors
+from edream.diagnosis.naming import Named, is_strange
 from edream.diagnosis.nuisance import fit_nuisance, published
 from edream.diagnosis.problem import Problem, Settings, credible, measurement_noise, nuisance_placements, prepare
 from edream.diagnosis.remainder import chosen_terms
@@ -33,7 +34,7 @@ from edream.diagnosis.screen import (
 )
 from edream.diagnosis.starts import as_published
 from edream.diagnosis.trials import Trial
-from edream.diagnosis.verdict import Named, is_strange, judge, sentence
+from edream.diagnosis.verdict import judge, sentence
 from edream.sim.rollout import rollout
 from edream.sim.simulation import SimulatedRobot
 from tests.still_problem import NOISE, commanded, having

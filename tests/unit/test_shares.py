@@ -12,6 +12,7 @@ from edream.diagnosis import nuisance, steps
 from edream.diagnosis.coordinate_search import best_along_coordinates, coordinate_search
 from edream.diagnosis.descent import polish
 from edream.diagnosis.left_out import leaves_no_gap
+from edream.diagnosis.naming import is_own_damping_strange, own_damping, strange_numbers
 from edream.diagnosis.nuisance import fit_nuisance, with_shares
 from edream.diagnosis.problem import Problem, Settings, prepare
 from edream.diagnosis.steps import with_short_steps
@@ -43,6 +44,31 @@ def weak(folder: Path, limit: float, gain: float = 20.0, damping: float = 0.5) -
     path = folder / "weak.xml"
     path.write_text(text)
     return path
+
+
+def test_a_joints_own_damping_is_strange_by_itself_where_motions_tell_it_from_its_servos(tmp_path: Path) -> None:
+    path, heavy = weak(tmp_path, 0.5), tmp_path / "heavy.xml"
+    text = path.read_text()  # of heavy pan brakes itself five times as much as published, and its servo less than half as much
+    heavy.write_text(text.replace('damping="0.10"', 'damping="0.50"', 1).replace('kv="0.5"', 'kv="0.2"', 1))
+    for robot, expected in ((path, []), (heavy, [("viscous", ("pan",))])):
+        problem, truth = recorded(robot, 5, published=path)
+        problem, fit = with_shares(problem, fit_nuisance(problem))
+        fit = polish(fit)
+        strange = strange_numbers(problem, fit)
+        assert [(one.name, one.targets) for one in strange] == expected
+        assert all(set(one.values) == {"damping", "inside"} for one in strange)
+        place = next(one for one in fit.objective.simulated.placements if one.full_name("inside") == "viscous.inside[pan]")
+        low, high = own_damping(fit, place)
+        assert low < truth.nuisance["damping"]["pan"] < high
+        assert high - low < 0.25  # N m s/rad, where the whole alone is known to no better in heavy
+
+
+def test_what_is_ordinary_of_a_joints_own_damping(tmp_path: Path) -> None:
+    model = load_robot(weak(tmp_path, 0.5)).model  # 0.1 N m s/rad of its own, 0.5 of its servo
+    assert not is_own_damping_strange(model, "pan", (0.15, 0.4))
+    assert is_own_damping_strange(model, "pan", (0.22, 0.4))
+    assert not is_own_damping_strange(model, "pan", (0.22, 0.4), usual=2.0)
+    assert not is_own_damping_strange(model, "pan", (0.0, 0.05))  # so little of the whole says nothing
 
 
 def test_motions_that_reach_a_limit_tell_the_share_and_it_becomes_true(tmp_path: Path) -> None:

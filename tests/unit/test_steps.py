@@ -8,12 +8,13 @@ import pytest
 
 from edream.diagnosis.candidates import Candidate, placement
 from edream.diagnosis.descent import Fit
+from edream.diagnosis.naming import strange_numbers
 from edream.diagnosis.nuisance import fit_nuisance
 from edream.diagnosis.problem import Problem
 from edream.diagnosis.screen import extend, with_quantities
 from edream.diagnosis.steps import in_continuous_time, may_tell, moved, with_long_steps, with_short_steps
 from edream.diagnosis.trials import gone_on
-from edream.diagnosis.verdict import on_steps, strange_numbers
+from edream.diagnosis.verdict import on_steps
 from edream.sim.emit import emit
 from edream.sim.objective import rms
 from edream.sim.robot import RobotModel

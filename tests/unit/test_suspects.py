@@ -14,6 +14,7 @@ from edream.core.episode import Episode
 from edream.diagnosis import suspects
 from edream.diagnosis.candidates import Candidate
 from edream.diagnosis.descent import begin, polish
+from edream.diagnosis.naming import strange_numbers
 from edream.diagnosis.nuisance import fit_nuisance
 from edream.diagnosis.problem import Settings, prepare
 from edream.diagnosis.screen import Scored
@@ -29,7 +30,7 @@ from edream.diagnosis.suspects import (
     with_ordinary_numbers,
 )
 from edream.diagnosis.trials import Trial
-from edream.diagnosis.verdict import off_nominal, strange_numbers, without_numbers
+from edream.diagnosis.verdict import off_nominal, without_numbers
 from edream.reality.recorder import Recorder, make_recordings
 from edream.reality.truth import draw
 from tests.still_problem import still_problem

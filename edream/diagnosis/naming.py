@@ -1,0 +1,133 @@
+"""What is named, and which of a robot's usual numbers are so far from the published ones that they are named."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+
+from edream.catalog import load
+from edream.core.effect import Effect, joint_index
+from edream.core.parameters import Parameter
+from edream.diagnosis.descent import Fit
+from edream.diagnosis.problem import Problem
+from edream.diagnosis.steps import in_continuous_time
+from edream.diagnosis.suspects import ORDINARY
+from edream.sim.simulation import Placement, unit_at
+
+SURE = 1.96  # standard deviations of a 95 % interval
+NUDGE = 1e-4  # of the unit box, by which a slope is taken
+LITTLE = 0.1  # of a joint's damping, the servo's included: so much of it may be the joint's own where none is published
+
+
+@dataclass(frozen=True)
+class Named:
+    """One effect that the simulator lacks.
+
+    Attributes:
+        name, summary: its entry in the library and the words of the sentence.
+        targets: joints (or bodies) it acts on.
+        values, intervals: its parameters by quantity, with 95 % intervals.
+        units: their units.
+        closed: share of the gap then remaining that it closed on left-out motions.
+        runner_up: the next best candidate, and the share that it closed.
+        confusable_with: candidates that these motions cannot tell from it.
+    """
+
+    name: str
+    summary: str
+    targets: tuple[str, ...]
+    values: Mapping[str, float]
+    intervals: Mapping[str, tuple[float, float]]
+    units: Mapping[str, str]
+    closed: float
+    runner_up: tuple[str, float] | None
+    confusable_with: tuple[str, ...]
+
+
+def numbers_of(
+    problem: Problem, fit: Fit, place: Placement
+) -> tuple[dict[str, float], dict[str, tuple[float, float]], dict[str, str]]:
+    """An effect's fitted quantities at its place, their intervals and units, under their short names."""
+    values, intervals = fit.space.mapping(fit.values), fit.intervals()
+    parameters = place.effect.parameters(problem.robot.model, place.targets)
+    full = {p.name: place.full_name(p.name) for p in parameters}
+    return (
+        {short: values[name] for short, name in full.items()},
+        {short: intervals[name] for short, name in full.items()},
+        {p.name: unit_at(p, problem.robot.model, place.targets) for p in parameters},
+    )
+
+
+def strange_numbers(problem: Problem, fit: Fit) -> list[Named]:
+    """Nuisance numbers that are far from the published ones, in the simulator's steps and in continuous time.
+
+    A servo's damping goes with its gain. Where the motions tell a joint's own damping from its servo's, it is looked at by itself.
+    """
+    found = []
+    fitted = fit.space.mapping(fit.values)
+    steady = in_continuous_time(problem, fitted)
+    gains: dict[tuple[str, ...], float] = {}
+    for place in fit.objective.simulated.placements:
+        if place.effect.name not in problem.settings.nuisance:
+            continue
+        values, intervals, units = numbers_of(problem, fit, place)
+        for parameter in load("effects", place.effect.name, Effect).parameters(problem.robot.model, place.targets):
+            usual = 1.0
+            if place.effect.name == "servo_gain" and parameter.start > 0.0:
+                gains[place.targets] = values[parameter.name] / parameter.start
+            elif place.effect.name == "viscous":
+                usual = gains.get(place.targets, 1.0)
+            full, (low, high) = place.full_name(parameter.name), intervals[parameter.name]
+            shift = steady[full] - fitted[full]
+            far = is_strange(parameter, (low + min(0.0, shift), high + max(0.0, shift)), usual)
+            if "inside" in values:
+                far = far or is_own_damping_strange(problem.robot.model, place.targets[0], own_damping(fit, place), usual)
+            if far:
+                found.append(
+                    Named(place.effect.name, place.effect.summary, place.targets, values, intervals, units, float("nan"), None, ())
+                )
+    return found
+
+
+def is_strange(parameter: Parameter, interval: tuple[float, float], usual: float = 1.0) -> bool:
+    """Whether a number's interval excludes what may be expected, about its published value and about `usual` times that."""
+    if parameter.guessed:
+        return False
+    yardstick = 0.02 * (parameter.high - parameter.low) if parameter.scale == "linear" else 0.0
+    low, high = min(1.0, usual) * parameter.start, max(1.0, usual) * parameter.start
+    return interval[0] > ORDINARY[1] * high + yardstick or interval[1] < ORDINARY[0] * low - yardstick
+
+
+def own_damping(fit: Fit, place: Placement) -> tuple[float, float]:
+    """95 % interval of a joint's own damping [N m s/rad], where the servo's share of the whole is a number, too (`inside`).
+
+    The two may be known far better together than each by itself: a servo's damping goes with its gain, the joint's does not.
+    """
+    names = fit.space.names
+    moved = [names.index(place.full_name(quantity)) for quantity in ("damping", "inside")]
+
+    def own(unit: Float[np.ndarray, "P"]) -> float:
+        both, inside = fit.space.from_unit(unit)[moved]
+        return float(both * (1.0 - inside))
+
+    slope = np.zeros(len(names))
+    for at in moved:
+        away = np.where(np.arange(len(names)) == at, NUDGE, 0.0)
+        slope[at] = (own(fit.unit + away) - own(fit.unit - away)) / (2.0 * NUDGE)
+    half = SURE * float(np.sqrt(max(slope @ fit.covariance() @ slope, 0.0)))
+    return max(own(fit.unit) - half, 0.0), own(fit.unit) + half
+
+
+def is_own_damping_strange(model: mujoco.MjModel, joint: str, interval: tuple[float, float], usual: float = 1.0) -> bool:
+    """Whether the interval of a joint's own damping excludes what may be expected, about as published and about `usual` times that.
+
+    What brakes the joint itself, damping or a drag, is no servo's: a servo that seems to damp less can make up for it in the sum
+    of both alone.
+    """
+    index = joint_index(model, joint)
+    published = float(model.dof_damping[index["drive"]])
+    little = LITTLE * (published - float(model.actuator_biasprm[index["actuator"], 2]))
+    above, below = ORDINARY[1] * max(1.0, usual) * published + little, ORDINARY[0] * min(1.0, usual) * published - little
+    return interval[0] > above or interval[1] < below
