@@ -20,6 +20,7 @@ AT_THE_FLOOR = 1.2  # floors of error on motions never fitted that are still cal
 HALF = 0.5  # of the squared gap: a name that closes less of a real one may be a stand-in
 ELSEWHERE = 1.5  # floors of error on a joint where nothing is named: looked into, however large the gap was at first
 MATERIAL = 0.05  # of the gap at first, in root-mean-square error, that an effect beside others must close
+SEEN = 0.1  # of the floor squared: less than that no usual number is called strange for
 ASTRAY = 1.2  # times the fit's own error: a motion left out that is so much worse may say more about the step than about the model
 
 
@@ -107,6 +108,16 @@ def is_borne_out(problem: Problem, errors: Float[np.ndarray, "M"], floors: float
     """
     low, _ = bootstrap(errors, problem.settings.seed)
     return low > (floors * problem.floor) ** 2
+
+
+def does_better(problem: Problem, fit: Fit, other: Fit) -> bool:
+    """Whether a fit meets motions left out better than another one: by what can be seen, however they are drawn, and not one alone.
+
+    The motion that gains most does not count: where a servo at its limit just holds, or just not, it can be all of the gain.
+    """
+    gain = np.sort(left_out_errors(problem, other) - left_out_errors(problem, fit))[:-1]
+    low, _ = bootstrap(gain, problem.settings.seed)
+    return low > 0.0 and float(gain.mean()) > SEEN * problem.floor**2
 
 
 def is_left(problem: Problem, left: Float[np.ndarray, "M"], proof: Float[np.ndarray, "K"]) -> bool:

@@ -13,7 +13,16 @@ from edream.diagnosis.backward import backward, refitted_without, still_standing
 from edream.diagnosis.candidates import Candidate, placement
 from edream.diagnosis.decide import ALIKE, Round, forward, rivals
 from edream.diagnosis.descent import Fit, polish
-from edream.diagnosis.left_out import agreement, bootstrap, falls_short, is_left, is_real, left_out_errors, proof_errors
+from edream.diagnosis.left_out import (
+    agreement,
+    bootstrap,
+    does_better,
+    falls_short,
+    is_left,
+    is_real,
+    left_out_errors,
+    proof_errors,
+)
 from edream.diagnosis.naming import Named, numbers_of, strange_numbers
 from edream.diagnosis.nuisance import fit_nuisance, published, with_shares
 from edream.diagnosis.problem import Problem, nuisance_placements
@@ -95,6 +104,12 @@ def diagnose(problem: Problem, done: Callable[[str, int], object] = lambda text,
         if suspects and trials:
             suspects, trials = what_stays(problem, trials, suspects, rounds[0].errors)
             fit, numbers = (fit, numbers) if trials else (before, [])  # strange only beside what went out: no answer alone
+    if (numbers or suspects) and not trials:
+        home = without_numbers(problem, fit, numbers, suspects)
+        if does_better(problem, suspects[0].fit if suspects else fit, home):
+            before = home
+        else:  # ordinary numbers meet motions left out as well, which is no news
+            fit, numbers, suspects = home, [], []
     ended = suspects[0].fit if suspects else fit  # what is named is what is written, with the ordinary numbers that it leaves
     effects = [_named(problem, ended, t, heard, trials) for t in trials]
     if suspects or not trials:  # beside a name, a strange number alone is that effect's own form, which no formula has exactly
@@ -109,7 +124,6 @@ def diagnose(problem: Problem, done: Callable[[str, int], object] = lambda text,
         ladder.append(("remainder", np.sqrt(proof_errors(problem, fit))))
     elif also:
         if not trials:
-            before = without_numbers(problem, fit, numbers, suspects)
             ladder[1] = ("calibrated", np.sqrt(proof_errors(problem, before)))
         fit = ended
         more = f" and {len(also) - 1} more" if len(also) > 1 else ""

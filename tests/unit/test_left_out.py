@@ -5,7 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from edream.diagnosis.left_out import agreement, asks_for_more, gap_above_floor, is_left
+from edream.diagnosis import left_out
+from edream.diagnosis.left_out import agreement, asks_for_more, does_better, gap_above_floor, is_left
 
 
 def test_agreement_is_said_only_where_little_more_than_noise_is_left() -> None:
@@ -45,3 +46,18 @@ def test_where_the_fit_is_at_the_floor_motions_left_out_ask_for_an_effect_togeth
 def test_a_gap_that_cannot_be_seen_counts_as_the_least_that_can(errors: float, gap: float) -> None:
     """So what is gained on one joint is a share that means something where the mean over many is at the floor; squared floors."""
     assert gap_above_floor(SimpleNamespace(floor=1.0), np.full(6, errors)) == pytest.approx(gap)
+
+
+@pytest.mark.parametrize(
+    ("other", "better"),
+    [(9 * [1.4], True), (9 * [1.02], False), ([8.0] + 8 * [1.0], False), ([8.0] + 8 * [1.2], True)],
+)
+def test_a_fit_does_better_by_what_can_be_seen_and_not_in_one_motion_alone(
+    monkeypatch: pytest.MonkeyPatch, other: list[float], better: bool
+) -> None:
+    """A gripper's servo had been called four times too weak for one motion of nine, and did worse on those never fitted."""
+    errors = {"fit": np.ones(9), "other": np.array(other) ** 2}  # in floors
+    monkeypatch.setattr(left_out, "left_out_errors", lambda problem, fit: errors[fit])
+    problem = SimpleNamespace(floor=1.0, settings=SimpleNamespace(seed=0))
+    assert does_better(problem, "fit", "other") is better
+    assert not does_better(problem, "other", "fit")

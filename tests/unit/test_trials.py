@@ -227,6 +227,7 @@ def _diagnosed(monkeypatch: pytest.MonkeyPatch, strange: verdict.Named, told: di
         "without_numbers": lambda problem, fit, numbers, suspects: FitOf(
             f"without {suspects[0].candidate.effect if suspects else numbers[0].name}", 1.0
         ),
+        "does_better": lambda problem, fit, other: True,
         "placement": lambda problem, candidate: candidate,
         "numbers_of": lambda problem, fit, place: ({}, {}, {}),
         "find_remainder": lambda problem, fit, beside_names=False: None,
