@@ -82,7 +82,7 @@ def strange_numbers(problem: Problem, fit: Fit) -> list[Named]:
             full, (low, high) = place.full_name(parameter.name), intervals[parameter.name]
             shift = steady[full] - fitted[full]
             far = is_strange(parameter, (low + min(0.0, shift), high + max(0.0, shift)), usual)
-            if "inside" in values:
+            if {"damping", "inside"} <= values.keys():
                 far = far or is_own_damping_strange(problem.robot.model, place.targets[0], own_damping(fit, place), usual)
             if far:
                 found.append(

@@ -63,6 +63,15 @@ def test_a_joints_own_damping_is_strange_by_itself_where_motions_tell_it_from_it
         assert high - low < 0.25  # N m s/rad, where the whole alone is known to no better in heavy
 
 
+def test_another_number_that_a_limit_has_inside_is_no_joints_damping(tmp_path: Path) -> None:
+    problem, _ = recorded(weak(tmp_path, 0.5), 5)
+    usual = (*problem.settings.nuisance, "torque_limit")
+    problem = replace(problem, settings=replace(problem.settings, nuisance=usual))
+    fit = fit_nuisance(problem)
+    assert any(name.startswith("torque_limit.inside") for name in fit.space.names)
+    assert not [one for one in strange_numbers(problem, fit) if one.name == "viscous"]
+
+
 def test_what_is_ordinary_of_a_joints_own_damping(tmp_path: Path) -> None:
     model = load_robot(weak(tmp_path, 0.5)).model  # 0.1 N m s/rad of its own, 0.5 of its servo
     assert not is_own_damping_strange(model, "pan", (0.15, 0.4))
