@@ -115,7 +115,8 @@ def does_better(problem: Problem, fit: Fit, other: Fit) -> bool:
 
     The motion that gains most does not count: where a servo at its limit just holds, or just not, it can be all of the gain.
     """
-    gain = np.sort(left_out_errors(problem, other) - left_out_errors(problem, fit))[:-1]
+    gain = np.sort(left_out_errors(problem, other) - left_out_errors(problem, fit))
+    gain = gain[:-1] if len(gain) > 2 else gain  # of two, one says nothing about the other
     low, _ = bootstrap(gain, problem.settings.seed)
     return low > 0.0 and float(gain.mean()) > SEEN * problem.floor**2
 

@@ -50,13 +50,13 @@ def test_a_gap_that_cannot_be_seen_counts_as_the_least_that_can(errors: float, g
 
 @pytest.mark.parametrize(
     ("other", "better"),
-    [(9 * [1.4], True), (9 * [1.02], False), ([8.0] + 8 * [1.0], False), ([8.0] + 8 * [1.2], True)],
+    [(9 * [1.4], True), (9 * [1.02], False), ([8.0] + 8 * [1.0], False), ([8.0] + 8 * [1.2], True), ([1.4], True), ([1.02], False)],
 )
 def test_a_fit_does_better_by_what_can_be_seen_and_not_in_one_motion_alone(
     monkeypatch: pytest.MonkeyPatch, other: list[float], better: bool
 ) -> None:
     """A gripper's servo had been called four times too weak for one motion of nine, and did worse on those never fitted."""
-    errors = {"fit": np.ones(9), "other": np.array(other) ** 2}  # in floors
+    errors = {"fit": np.ones(len(other)), "other": np.array(other) ** 2}  # in floors
     monkeypatch.setattr(left_out, "left_out_errors", lambda problem, fit: errors[fit])
     problem = SimpleNamespace(floor=1.0, settings=SimpleNamespace(seed=0))
     assert does_better(problem, "fit", "other") is better
