@@ -14,6 +14,7 @@ from edream.sim.objective import Objective, rms
 from edream.sim.polish import coupled
 from edream.sim.window import Window
 
+SURE = 1.96  # standard deviations to either side: a 95 % interval
 STRETCH = 1.5  # s
 LONGEST_STEP = 0.2  # of the unit box
 SHORTER = (0.5, 0.2, 0.06)  # of a step
@@ -80,7 +81,7 @@ class Fit:
         grow = np.sqrt(np.maximum(np.diag(inverse) / np.maximum(np.diag(sandwich), 1e-300), 1.0))
         return sandwich * grow[:, None] * grow[None, :]
 
-    def intervals(self, level: float = 1.96) -> dict[str, tuple[float, float]]:
+    def intervals(self, level: float = SURE) -> dict[str, tuple[float, float]]:
         """95 % interval of each parameter, in its unit, clipped to its box."""
         half = level * np.sqrt(np.maximum(np.diag(self.covariance()), 0.0))
         low = self.space.from_unit(np.clip(self.unit - half, 0.0, 1.0))

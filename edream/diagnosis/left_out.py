@@ -113,7 +113,8 @@ def is_borne_out(problem: Problem, errors: Float[np.ndarray, "M"], floors: float
 def does_better(problem: Problem, fit: Fit, other: Fit) -> bool:
     """Whether a fit meets motions left out better than another one: by what can be seen, however they are drawn, and not one alone.
 
-    The motion that gains most does not count: where a servo at its limit just holds, or just not, it can be all of the gain.
+    Compared are mean squared errors [rad^2] of motions left out, (M,). The one that gains most does not count: where a servo at
+    its limit just holds, or just not, it can be all of the gain.
     """
     gain = np.sort(left_out_errors(problem, other) - left_out_errors(problem, fit))
     gain = gain[:-1] if len(gain) > 2 else gain  # of two, one says nothing about the other

@@ -10,13 +10,12 @@ from jaxtyping import Float
 from edream.catalog import load
 from edream.core.effect import Effect, joint_index
 from edream.core.parameters import Parameter
-from edream.diagnosis.descent import Fit
+from edream.diagnosis.descent import SURE, Fit
 from edream.diagnosis.problem import Problem
 from edream.diagnosis.steps import in_continuous_time
 from edream.diagnosis.suspects import ORDINARY
 from edream.sim.simulation import Placement, unit_at
 
-SURE = 1.96  # standard deviations of a 95 % interval
 NUDGE = 1e-4  # of the unit box, by which a slope is taken
 LITTLE = 0.1  # of a joint's damping, the servo's included: so much of it may be the joint's own where none is published
 
@@ -104,6 +103,7 @@ def own_damping(fit: Fit, place: Placement) -> tuple[float, float]:
     """95 % interval of a joint's own damping [N m s/rad], where the servo's share of the whole is a number, too (`inside`).
 
     The two may be known far better together than each by itself: a servo's damping goes with its gain, the joint's does not.
+    Source: Oehlert, The American Statistician 46(1), 1992 (delta method).
     """
     names = fit.space.names
     moved = [names.index(place.full_name(quantity)) for quantity in ("damping", "inside")]

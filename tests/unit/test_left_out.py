@@ -55,7 +55,7 @@ def test_a_gap_that_cannot_be_seen_counts_as_the_least_that_can(errors: float, g
 def test_a_fit_does_better_by_what_can_be_seen_and_not_in_one_motion_alone(
     monkeypatch: pytest.MonkeyPatch, other: list[float], better: bool
 ) -> None:
-    """A gripper's servo had been called four times too weak for one motion of nine, and did worse on those never fitted."""
+    """A gripper's servo had been called three times too weak for one motion of nine, and did worse on those never fitted."""
     errors = {"fit": np.ones(len(other)), "other": np.array(other) ** 2}  # in floors
     monkeypatch.setattr(left_out, "left_out_errors", lambda problem, fit: errors[fit])
     problem = SimpleNamespace(floor=1.0, settings=SimpleNamespace(seed=0))

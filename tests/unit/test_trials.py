@@ -244,13 +244,14 @@ def _diagnosed(monkeypatch: pytest.MonkeyPatch, strange: verdict.Named, told: di
         (1.0, False, "named", ["servo_gain"], "without servo_gain", "usual"),
         (6.0, False, "unnamed", [], "usual", "usual"),
         (1.0, True, "cannot_tell", ["spring"], "without spring", "with a spring"),
+        (1.0, None, "none", [], "usual", "without servo_gain"),
         (6.0, True, "unnamed", [], "usual", "usual"),
     ],
 )
 def test_strange_numbers_are_an_answer_only_where_nothing_is_left(
-    monkeypatch: pytest.MonkeyPatch, floors: float, behind: bool, expected: str, named: list[str], shown: str, written: str
+    monkeypatch: pytest.MonkeyPatch, floors: float, behind: bool | None, expected: str, named: list[str], shown: str, written: str
 ) -> None:
-    """What stands behind them is named instead, and is in the model that is written."""
+    """What stands behind them is named instead, and is in the model that is written; neither where ordinary ones do as well."""
     spring = Suspect(Candidate("spring", ("tilt",)), FitOf("with a spring", 1.0), 9.0)  # type: ignore[arg-type]
     gain = verdict.Named("servo_gain", "another servo gain", ("tilt",), {}, {}, {}, 0.0, None, ())
     errors = np.full(4, (floors * 1e-3) ** 2)
@@ -260,6 +261,7 @@ def test_strange_numbers_are_an_answer_only_where_nothing_is_left(
         "forward": lambda problem, fit, done: (problem, fit, [nothing]),
         "backward": lambda problem, fit, candidates, first: (fit, []),
         "find_suspects": lambda problem, fit, strange, done: [spring] if behind else [],
+        "does_better": lambda problem, fit, other: behind is not None,
     }
     found = _diagnosed(monkeypatch, gain, told)
     assert found.verdict == expected and [one.name for one in found.effects] == named
