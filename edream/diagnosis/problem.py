@@ -252,11 +252,14 @@ def nuisance_placements(problem: Problem, fitted: Mapping[str, float] | None = N
 
 
 def credible(problem: Problem, fitted: Mapping[str, float]) -> bool:
-    """Whether all numbers that the model publishes are fitted within a factor of 2.5 of what it says (guesses and zeros aside)."""
+    """Whether all numbers that the model publishes are fitted within a factor of 2.5 of what it says (guesses and zeros aside).
+
+    `fitted` holds them by full parameter name; what is not in it stands as published.
+    """
     model = problem.robot.model
     for place in nuisance_placements(problem):
         for parameter, full in zip(place.effect.parameters(model, place.targets), place.parameters(model), strict=True):
-            known = parameter.start > 0.0 and not parameter.guessed
+            known = full.name in fitted and parameter.start > 0.0 and not parameter.guessed
             if known and not 1.0 / CREDIBLE_FACTOR <= fitted[full.name] / parameter.start <= CREDIBLE_FACTOR:
                 return False
     return True

@@ -14,6 +14,7 @@ from edream.core.episode import Episode
 from edream.diagnosis import suspects
 from edream.diagnosis.candidates import Candidate
 from edream.diagnosis.descent import begin, polish
+from edream.diagnosis.left_out import does_better
 from edream.diagnosis.naming import strange_numbers
 from edream.diagnosis.nuisance import fit_nuisance
 from edream.diagnosis.problem import Settings, prepare
@@ -53,6 +54,8 @@ def test_one_strange_number_takes_no_others_along_on_a_joint_that_nothing_loads(
     without_it = without_numbers(problem, home, off_nominal(problem, home), [])
     assert "viscous.damping[pan]" not in without_it.space.names
     assert without_it.rms > 3.0 * home.rms, "no factor on the joint's other numbers makes up for it"
+    assert does_better(problem, home, without_it)
+    assert not does_better(problem, without_it, home)
 
 
 def test_a_factor_that_a_whole_joint_is_off_by_goes_and_one_strange_number_stays() -> None:
