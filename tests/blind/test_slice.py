@@ -24,7 +24,10 @@ def outcome(case: Case, folder: Path) -> dict[str, Any]:
     return scored(case, robot, folder, SHORT, result)
 
 
-@pytest.mark.parametrize("effect", ["stribeck", pytest.param("payload", marks=pytest.mark.slow), "actuator_delay"])
+SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in ("payload", "actuator_delay")]
+
+
+@pytest.mark.parametrize("effect", ["stribeck", "viscous", *SLOW])
 def test_a_hidden_effect_is_named_at_its_place_and_nothing_else(effect: str, folder: Path) -> None:
     row = outcome(Case("pan_tilt", (effect,), 0, "single"), folder)
     assert row["found"] != ["missed"], row
