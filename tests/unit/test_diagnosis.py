@@ -159,6 +159,8 @@ def test_the_sentence_says_all_joints_rather_than_their_names() -> None:
     said = sentence("cannot_tell", [one], None, joints)
     assert "load-dependent friction on all 3 joints" in said
     assert "load_friction may be stribeck or cogging[a]" in said
+    most = replace(one, confusable_with=("stribeck[a+c]", "cogging[a+d]", "gravity_tilt"))
+    assert "may be stribeck without b or cogging[a+d] or gravity_tilt." in sentence("cannot_tell", [most], None, joints)
     assert "on a and b" in sentence("named", [replace(one, targets=("a", "b"))], None, joints)
     twice = [replace(one, targets=(joint,)) for joint in ("a", "c")]
     assert sentence("named", twice, None, joints) == "Your simulator lacks load-dependent friction on a and c."
