@@ -11,7 +11,7 @@ from edream.catalog import load
 from edream.core.effect import Effect
 from edream.diagnosis.backward import backward, refitted_without, still_standing
 from edream.diagnosis.candidates import Candidate, placement
-from edream.diagnosis.decide import ALIKE, Round, forward, rivals
+from edream.diagnosis.decide import ALIKE, Round, forward, predicted, rivals
 from edream.diagnosis.descent import Fit, polish
 from edream.diagnosis.left_out import (
     agreement,
@@ -20,7 +20,6 @@ from edream.diagnosis.left_out import (
     falls_short,
     is_left,
     is_real,
-    left_out_errors,
     proof_errors,
 )
 from edream.diagnosis.naming import Named, numbers_of, strange_numbers
@@ -90,7 +89,7 @@ def diagnose(problem: Problem, done: Callable[[str, int], object] = lambda text,
     fit, kept = backward(problem, fit, [t.candidate for t in taken], rounds[0].errors)
     fit, kept = still_standing(problem, fit, kept) if len(kept) < len(taken) else (fit, kept)
     trials, heard = left_alone(problem, fit, rounds, [t for t in taken if t.candidate in kept])
-    left = left_out_errors(problem, fit) if trials else rounds[0].errors
+    left = predicted(problem, fit, trials[-1] if len(kept) == len(taken) else None) if trials else rounds[0].errors
     short = falls_short(problem, rounds[0].errors, left) if trials else is_left(problem, left, ladder[1][1] ** 2)
     numbers: list[Named] = []
     suspects: list[Suspect] = []
