@@ -269,6 +269,7 @@ def test_a_step_that_leads_astray_does_not_judge_a_motion_left_out(problem: Prob
     assert misled < 1.1 * honest
 
 
+@pytest.mark.slow
 def test_play_in_a_gear_is_found_by_a_search_where_the_usual_numbers_have_made_up_for_it() -> None:
     robot = robot_of("pan_tilt")
     assert robot is not None

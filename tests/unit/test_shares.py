@@ -107,6 +107,7 @@ def test_differences_are_fine_where_servos_reach_their_limit(tmp_path: Path, lim
     assert fit_nuisance(problem).objective.step == step
 
 
+@pytest.mark.slow
 def test_soft_servos_are_found_that_were_published_so_stiff_that_they_always_reach_their_limit(tmp_path: Path) -> None:
     soft, stiff = (tmp_path / name for name in ("soft", "stiff"))
     soft.mkdir()
@@ -136,6 +137,7 @@ def test_the_step_of_differences_is_chosen_anew_where_the_usual_numbers_were_fou
     assert last < 0.1 < first
 
 
+@pytest.mark.slow
 def test_stiff_servos_at_their_limit_are_led_out_of_a_false_valley(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     problem, _ = recorded(weak(tmp_path, 0.6, gain=400.0, damping=2.0), 1)
     shared, usual = with_shares(problem, fit_nuisance(problem))

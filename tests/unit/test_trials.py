@@ -293,7 +293,7 @@ def test_behind_numbers_that_are_strange_beside_a_name_another_effect_is_looked_
     written: list[str] = []
     told = {
         "proof_errors": lambda problem, fit: np.full(4, 1e-6),
-        "left_out_errors": lambda problem, fit: np.full(4, floors**2 * 1e-6),
+        "predicted": lambda problem, fit, taken: np.full(4, floors**2 * 1e-6),
         "forward": lambda problem, fit, done: (problem, taken.fit, rounds),
         "backward": lambda problem, fit, candidates, first: (fit, candidates),
         "find_suspects": lambda problem, fit, strange, done: [spring] if behind else [],
@@ -349,7 +349,7 @@ def _rounds(monkeypatch: pytest.MonkeyPatch, left: list[float], joint_errors: li
     remaining = itertools.chain(left, itertools.repeat(left[-1]))
     told = {
         "with_short_steps": lambda problem, fit: (problem, fit),
-        "left_out_errors": lambda problem, fit: np.full(6, next(remaining)),
+        "predicted": lambda problem, fit, taken: np.full(6, next(remaining)),
         "screen_twice": lambda problem, fit, done: [],
         "try_best": lambda problem, fit, errors, scored, done: [_trial("spring", 0.3)],
         "with_bold": lambda problem, fit, errors, trials, done: trials,
