@@ -83,7 +83,7 @@ class Effect(ABC):
         phase: the quantity that is a phase [rad], or None. Its probes then come in pairs, at phase 0 and at a quarter turn.
         of_position_servo: whether it acts on what a servo makes of a commanded position, and so not under torque or speed commands.
         special: a simpler effect that this one is where one of its quantities has a certain value: (effect, quantity, value).
-        finer: the same effect with one number more, about as published, that only some motions tell.
+        finer: the same effect with one number more that only some motions tell; its other numbers come first, in the same order.
     """
 
     name: str

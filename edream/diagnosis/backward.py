@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from edream.diagnosis.candidates import Candidate, acted_on, placement, untouched
+from edream.core.parameters import Parameter
+from edream.diagnosis.candidates import Candidate, acted_on, standing, untouched
 from edream.diagnosis.descent import Fit, begin, descend, polish
 from edream.diagnosis.left_out import bootstrap, gap_above_floor, is_material, left_out_errors
 from edream.diagnosis.problem import Problem
@@ -49,17 +50,16 @@ def still_standing(problem: Problem, fit: Fit, kept: Sequence[Candidate]) -> tup
 
 def stands(problem: Problem, candidate: Candidate, fit: Fit) -> bool:
     """Whether some parameter of the effect has an interval that excludes its absence, and none of those sits at a bound."""
-    place = placement(problem, candidate)
-    intervals, unit = fit.intervals(), dict(zip(fit.space.names, fit.unit, strict=True))
-    away = []
-    for parameter in place.parameters(problem.robot.model):
-        if parameter.absent is None:
-            continue
-        low, high = intervals[parameter.name]
-        excludes = not low - ROUNDING * abs(low) <= parameter.absent <= high + ROUNDING * abs(high)
-        inside = BOUND <= unit[parameter.name] <= 1.0 - BOUND  # in the box that is searched, logarithmic for a limit
-        away.append(excludes and inside)
-    return any(away)
+    place = standing(problem, candidate, fit.objective.simulated)
+    return any(is_away(fit, parameter) for parameter in place.parameters(problem.robot.model) if parameter.absent is not None)
+
+
+def is_away(fit: Fit, parameter: Parameter) -> bool:
+    """Whether a number's interval excludes the value at which its effect is not there, and it does not sit at a bound."""
+    low, high = fit.intervals()[parameter.name]
+    unit = float(fit.unit[fit.space.names.index(parameter.name)])  # in the box that is searched, logarithmic for a limit
+    excludes = parameter.absent is not None and not low - ROUNDING * abs(low) <= parameter.absent <= high + ROUNDING * abs(high)
+    return excludes and BOUND <= unit <= 1.0 - BOUND
 
 
 def refitted_without(problem: Problem, fit: Fit, *candidates: Candidate) -> Fit:

@@ -10,7 +10,7 @@ from edream.catalog import load, names
 from edream.core.effect import Effect, holds_position, joint_index
 from edream.core.errors import EdreamError
 from edream.diagnosis.problem import Problem, scaling_of
-from edream.sim.simulation import Placement
+from edream.sim.simulation import Placement, SimulatedRobot
 
 
 @dataclass(frozen=True)
@@ -34,6 +34,12 @@ def placement(problem: Problem, candidate: Candidate) -> Placement:
     """The candidate as something that can be simulated."""
     effect = load("effects", candidate.effect, Effect)
     return Placement(effect, candidate.targets, scaled=scaling_of(problem, candidate.effect))
+
+
+def standing(problem: Problem, candidate: Candidate, simulated: SimulatedRobot) -> Placement:
+    """The candidate as it stands in a model, in its finer form there perhaps; as the library has it where it does not stand."""
+    there = [p for p in simulated.placements if (p.effect.name, tuple(p.targets)) == (candidate.effect, candidate.targets)]
+    return there[0] if there else placement(problem, candidate)
 
 
 def probes_of(problem: Problem, place: Placement) -> list[dict[str, float]]:

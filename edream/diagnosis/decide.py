@@ -12,6 +12,7 @@ from edream.diagnosis.astray import screen_twice
 from edream.diagnosis.backward import stands, without
 from edream.diagnosis.candidates import Candidate, acted_on, confused_with, placement, untouched
 from edream.diagnosis.descent import Fit, begin, descend, polish
+from edream.diagnosis.finer import with_finer
 from edream.diagnosis.left_out import (
     HALF,
     asks_for_more,
@@ -21,7 +22,6 @@ from edream.diagnosis.left_out import (
     is_material,
     is_real,
     leaves_no_gap,
-    left_out_errors,
 )
 from edream.diagnosis.narrowing import narrowed
 from edream.diagnosis.problem import Problem
@@ -45,6 +45,7 @@ from edream.diagnosis.trials import (
     on_few,
     other_answers,
     placed_at,
+    predicted,
     refitted,
     try_best,
     with_bold,
@@ -117,21 +118,13 @@ def forward(
             trial, there = fewer
             if stands(problem, trial.candidate, there) and not told_apart(problem, trial, taken):
                 taken, ended = trial, there
+        if taken is not None:
+            taken, ended = with_finer(problem, errors, taken, ended)
         rounds.append(Round(fit, errors, scored, trials, taken))
         if taken is None:
             break
         fit = ended
     return problem, fit, rounds
-
-
-def predicted(problem: Problem, fit: Fit, taken: Trial | None) -> Float[np.ndarray, "M"]:
-    """Errors on motions left out [rad^2], (M,), of a model whose last effect was taken: at the end of its search, or before it.
-
-    The smaller count. A model known to predict so well has not become worse because a step at the end leads one fold astray, and
-    what mends that alone is no effect.
-    """
-    errors = left_out_errors(problem, fit)
-    return errors if taken is None or errors.mean() <= taken.errors.mean() else taken.errors
 
 
 def outdone(problem: Problem, fit: Fit, errors: Float[np.ndarray, "M"], trials: Sequence[Trial]) -> Remainder | None:

@@ -240,7 +240,8 @@ def nuisance_placements(problem: Problem, fitted: Mapping[str, float] | None = N
     for name in problem.settings.nuisance:
         for group in problem.groups:
             effect = load("effects", name, Effect)
-            effect = effect.finer if effect.finer and group in problem.shared else effect
+            if name == "viscous" and group in problem.shared and effect.finer:
+                effect = effect.finer
             bare = Placement(effect, group, scaled=scaling_of(problem, name))
             bounds = {}
             for short, full in _names(bare, problem):

@@ -319,6 +319,16 @@ def judged(problem: Problem, fit: Fit, errors: Float[np.ndarray, "M"], scored: S
     return Trial(scored.candidate, scored.share, fit, left, closed, low > 0.0)
 
 
+def predicted(problem: Problem, fit: Fit, taken: Trial | None) -> Float[np.ndarray, "M"]:
+    """Errors on motions left out [rad^2], (M,), of a model whose last effect was taken: at the end of its search, or before it.
+
+    The smaller count. A model known to predict so well has not become worse because a step at the end leads one fold astray, and
+    what mends that alone is no effect.
+    """
+    errors = left_out_errors(problem, fit)
+    return errors if taken is None or errors.mean() <= taken.errors.mean() else taken.errors
+
+
 def is_another(one: Trial, other: Trial) -> bool:
     """Whether two candidates are different answers: another effect, or the same on joints that do not overlap."""
     mine, others = one.candidate, other.candidate

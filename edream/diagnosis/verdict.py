@@ -10,8 +10,8 @@ from jaxtyping import Float
 from edream.catalog import load
 from edream.core.effect import Effect
 from edream.diagnosis.backward import backward, refitted_without, still_standing
-from edream.diagnosis.candidates import Candidate, placement
-from edream.diagnosis.decide import ALIKE, Round, forward, predicted, rivals
+from edream.diagnosis.candidates import Candidate, placement, standing
+from edream.diagnosis.decide import ALIKE, Round, forward, rivals
 from edream.diagnosis.descent import Fit, polish
 from edream.diagnosis.left_out import (
     agreement,
@@ -27,7 +27,7 @@ from edream.diagnosis.nuisance import fit_nuisance, published, with_shares
 from edream.diagnosis.problem import Problem, nuisance_placements
 from edream.diagnosis.remainder import Remainder, find_remainder
 from edream.diagnosis.suspects import Suspect, find_suspects, most_ordinary, what_stays, with_ordinary_numbers
-from edream.diagnosis.trials import Trial, is_another, judged
+from edream.diagnosis.trials import Trial, is_another, judged, predicted
 from edream.sim.objective import rms
 
 CLOSED = 0.9  # share of the gap, in root-mean-square error, from which what is left is not worth a formula
@@ -205,7 +205,7 @@ def _named(problem: Problem, fit: Fit, trial: Trial, rounds: Sequence[Round], ta
     )
     different = [other for other, _ in others if is_another(other, trial)]
     runner = (different[0].candidate.label, different[0].closed) if different else None
-    values, intervals, units = numbers_of(problem, fit, placement(problem, trial.candidate))
+    values, intervals, units = numbers_of(problem, fit, standing(problem, trial.candidate, fit.objective.simulated))
     effect = load("effects", trial.candidate.effect, Effect)
     return Named(effect.name, effect.summary, trial.candidate.targets, values, intervals, units, trial.closed, runner, alike)
 

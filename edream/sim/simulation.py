@@ -29,6 +29,7 @@ LINEAR = {
     "N m s^2/rad^2": "N s^2/m^2",
     "N m/(rad s)": "N/(m s)",
     "kg m^2": "kg",
+    "1/(N m)": "1/N",
 }
 
 

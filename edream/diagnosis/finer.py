@@ -1,0 +1,52 @@
+"""An effect's finer form, of one number more, where motions left out ask for it."""
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float
+
+from edream.catalog import load
+from edream.core.effect import Effect
+from edream.diagnosis.backward import is_away
+from edream.diagnosis.candidates import standing
+from edream.diagnosis.descent import Fit, descend, polish
+from edream.diagnosis.left_out import is_real
+from edream.diagnosis.problem import Problem
+from edream.diagnosis.starts import with_column
+from edream.diagnosis.trials import Trial, judged, predicted
+from edream.sim.objective import Objective
+
+STEPS = (0.0, 0.05, -0.05)  # of its range, from its absence: where a number begins that others have made up for
+
+
+def with_finer(problem: Problem, errors: Float[np.ndarray, "M"], taken: Trial, ended: Fit) -> tuple[Trial, Fit]:
+    """An effect in its finer form where its plain one leaves a gap, of which that surely takes enough; as it is otherwise.
+
+    What a form that is not quite right leaves looks like further effects, none of them there.
+
+    Args:
+        errors: on motions left out [rad^2], (M,), without the effect.
+        taken: the effect, its search at `ended`.
+    """
+    finer = load("effects", taken.candidate.effect, Effect).finer
+    if finer is None or not is_real(problem, known := predicted(problem, ended, taken)):
+        return taken, ended
+    simulated = ended.objective.simulated
+    plain = standing(problem, taken.candidate, simulated)
+    place = replace(plain, effect=finer)
+    more = place.parameters(problem.robot.model)[-1]
+    if more.absent is None or more.name in simulated.space.names:
+        return taken, ended
+    longer = simulated.with_placements([*(one for one in simulated.placements if one is not plain), place])
+    extended = replace(ended.objective, simulated=longer, simulations=0)
+    fit = min((gone_down(ended, extended, more.absent + step * (more.high - more.low)) for step in STEPS), key=lambda one: one.rms)
+    trial = judged(problem, fit, errors, taken)
+    left, now = ended.rms**2 - problem.floor**2, fit.rms**2 - problem.floor**2
+    better = left - now >= problem.settings.gain * left and trial.errors.mean() < known.mean()
+    return (trial, fit) if better and is_away(fit, more) else (taken, ended)
+
+
+def gone_down(fit: Fit, extended: Objective, value: float) -> Fit:
+    """The larger model from the fit and a value of its last number, at the end of its search."""
+    near = with_column(fit, extended, np.append(fit.values, value))
+    return polish(descend(near, None, 6))

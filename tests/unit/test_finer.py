@@ -1,0 +1,62 @@
+"""Friction that does not grow in proportion to the load is said to do so, and nothing else is named for what its form leaves."""
+
+from collections.abc import Mapping
+
+import numpy as np
+import pytest
+
+from benchmarks.blind.cases import robot_of
+from edream.core.episode import Episode
+from edream.diagnosis.candidates import Candidate, standing
+from edream.diagnosis.descent import polish
+from edream.diagnosis.finer import with_finer
+from edream.diagnosis.left_out import left_out_errors
+from edream.diagnosis.naming import numbers_of
+from edream.diagnosis.nuisance import fit_nuisance
+from edream.diagnosis.problem import Settings, prepare
+from edream.diagnosis.screen import Scored
+from edream.diagnosis.trials import refit
+from edream.reality import effects
+from edream.reality.friction_effects import LoadFriction
+from edream.reality.plant import Moment
+from edream.reality.recorder import Recorder, make_recordings
+from edream.reality.truth import draw
+
+LOAD = Candidate("load_friction", ("tilt",))
+
+
+class Rising(LoadFriction):
+    """Nothing from a light load, and ever more from a heavy one."""
+
+    def dry(self, up: np.ndarray, down: np.ndarray, now: Moment) -> tuple[np.ndarray, np.ndarray]:
+        more = self.of("share") * np.square(now.load)
+        return up + more, down + more
+
+
+def _kinds(rising: bool) -> Mapping[str, effects.Kind]:
+    proportional = effects.KINDS["load_friction"]
+    own = effects.Kind(Rising, "loaded", {"share": 0.0}, lambda r, s: {"share": 1.0})
+    return {**effects.KINDS, "load_friction": own if rising else proportional}
+
+
+@pytest.mark.parametrize("rising", [True, pytest.param(False, marks=pytest.mark.slow)])
+def test_friction_that_rises_faster_than_the_load_has_one_number_more(monkeypatch: pytest.MonkeyPatch, rising: bool) -> None:
+    monkeypatch.setattr(effects, "KINDS", _kinds(rising))
+    robot = robot_of("pan_tilt")
+    assert robot is not None
+    truth = draw(robot, ["load_friction"], np.random.default_rng(5), 0.3, ("tilt",))
+    made = make_recordings(robot, truth, 5, 6, 5.0, Recorder())
+    episodes = [Episode(r.name, robot.joints, r.times, r.position, r.command_times, r.command) for r in made]
+    problem = prepare(robot, episodes, Settings())
+    fit = fit_nuisance(problem)
+    errors = left_out_errors(problem, fit)
+    plain = refit(problem, fit, errors, Scored(LOAD, {"slope": 0.05, "motor_share": 0.1, "inside": 0.8}, 0.5))
+    before = polish(plain.fit)
+    taken, ended = with_finer(problem, errors, plain, before)
+    values, intervals, units = numbers_of(problem, ended, standing(problem, LOAD, ended.objective.simulated))
+    assert ("quadratic" in values) is rising
+    if rising:
+        assert units["quadratic"] == "1/(N m)" and intervals["quadratic"][0] > 0.0
+        assert taken.closed > plain.closed and ended.rms < 0.7 * before.rms
+    else:
+        assert ended is before and taken is plain
