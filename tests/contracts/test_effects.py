@@ -85,7 +85,20 @@ def home(effect: Effect) -> tuple[str, tuple[str, ...], tuple[str, ...]]:
 
 
 def load(name: str) -> Effect:
-    return catalog.load("effects", name, Effect)
+    """The library's entry, or with a + behind its name its finer form."""
+    entry = catalog.load("effects", name.removesuffix("+"), Effect)
+    return entry.finer if name.endswith("+") and entry.finer else entry
+
+
+# and the finer forms that have one more number which may be absent
+FORMS = (
+    *NAMES,
+    *(
+        f"{n}+"
+        for n in NAMES
+        if (finer := load(n).finer) and finer.parameters(robot("pan_tilt").model, ("tilt",))[-1].absent is not None
+    ),
+)
 
 
 def nuisance(name: str) -> tuple[Placement, ...]:
@@ -123,7 +136,7 @@ def test_an_effect_says_what_it_is(name: str) -> None:
     assert "=" in document or "<=" in document
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", FORMS)
 def test_an_absent_effect_leaves_the_motion_alone(name: str) -> None:
     effect = load(name)
     where, target, _ = home(effect)
@@ -139,7 +152,7 @@ def test_an_absent_effect_leaves_the_motion_alone(name: str) -> None:
     assert gap <= allowed, f"{name} at its start moves the robot by {gap:.2e} rad"
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", FORMS)
 def test_every_parameter_of_an_effect_moves_the_robot(name: str) -> None:
     effect = load(name)
     where, target, _ = home(effect)
@@ -147,8 +160,8 @@ def test_every_parameter_of_an_effect_moves_the_robot(name: str) -> None:
     if name != "viscous":  # one number for all damping of a joint, as calibration has it
         damped = [Placement(load("viscous"), (joint,)) for joint in robot(where).joints]
         simulated = simulated.with_placements([*damped, *simulated.placements])
-    own = [p for p in simulated.space.parameters if p.name.startswith(name + ".")]
-    quantities = [p.name.removeprefix(name + ".").partition("[")[0] for p in own]
+    own = [p for p in simulated.space.parameters if p.name.startswith(effect.name + ".")]
+    quantities = [p.name.removeprefix(effect.name + ".").partition("[")[0] for p in own]
     present = effect.probes(robot(where).model, target)[0]
     for p, quantity in zip(own, quantities, strict=True):
         sets = []
@@ -166,7 +179,7 @@ def test_every_parameter_of_an_effect_moves_the_robot(name: str) -> None:
         assert moved > 1e-6, f"{name}.{quantity} is silently not applied: {moved:.1e} rad"
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", FORMS)
 def test_a_probe_is_inside_the_box_and_visible(name: str) -> None:
     effect = load(name)
     where, target, _ = home(effect)
@@ -188,7 +201,7 @@ def test_a_probe_is_inside_the_box_and_visible(name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "where"), [(n, w) for n in NAMES for w in ("pan_tilt", "arm6") if w == "pan_tilt" or load(n).place == "joint"]
+    ("name", "where"), [(n, w) for n in FORMS for w in ("pan_tilt", "arm6") if w == "pan_tilt" or load(n).place == "joint"]
 )
 def test_every_corner_of_the_box_is_finite(name: str, where: str) -> None:
     effect = load(name)
@@ -197,7 +210,7 @@ def test_every_corner_of_the_box_is_finite(name: str, where: str) -> None:
     else:
         where, target, _ = home(effect)
     simulated = placed(effect, target, where=where)
-    own = [i for i, p in enumerate(simulated.space.parameters) if p.name.startswith(name + ".")]
+    own = [i for i, p in enumerate(simulated.space.parameters) if p.name.startswith(effect.name + ".")]
     start = simulated.space.to_unit(simulated.space.start())
     corners = list(product((0.0, 1.0), repeat=len(own))) if len(own) <= 3 else [*np.eye(len(own)), *(1.0 - np.eye(len(own)))]
     sets = np.repeat(start[None], len(corners), axis=0)

@@ -21,6 +21,7 @@ from edream.sim.window import whole
 
 NAMES = [name for name in catalog.names("effects") if name != "contact_friction"]
 ROBOT = load_robot(Path(__file__).resolve().parents[2] / "edream" / "robots" / "pan_tilt.xml", site="ee")
+FORMS = [*NAMES, "load_friction+"]  # and one finer form, which has a hook of its own
 PLACES = {"joint": ("tilt",), "pair": ("tilt<-pan",), "body": ("head",), "world": ()}
 
 
@@ -32,10 +33,11 @@ def motion() -> Episode:
 
 def with_effect(name: str) -> tuple[SimulatedRobot, dict[str, float]]:
     """The pan-tilt with odd friction and gain, and a visible version of one effect."""
-    effect = catalog.load("effects", name, Effect)
+    effect = catalog.load("effects", name.removesuffix("+"), Effect)
+    effect = effect.finer if name.endswith("+") and effect.finer else effect
     base = [Placement(catalog.load("effects", n, Effect), (j,)) for n in ("coulomb", "servo_gain") for j in ROBOT.joints]
     own = Placement(effect, PLACES[effect.place])
-    base = [p for p in base if (p.effect.name, p.targets) != (name, own.targets)]
+    base = [p for p in base if (p.effect.name, p.targets) != (effect.name, own.targets)]
     simulated = SimulatedRobot(ROBOT, (*base, own))
     values = dict(zip(simulated.space.names, simulated.space.start() * 1.0123456789012, strict=True))
     values |= {own.full_name(q): v for q, v in effect.probes(ROBOT.model, own.targets)[-1].items()}
@@ -82,7 +84,7 @@ def loaded(text: str | None, folder: Path) -> object:
     return module
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", FORMS)
 def test_stock_mujoco_replays_the_emitted_model_as_edream_does(name: str, tmp_path: Path) -> None:
     simulated, values = with_effect(name)
     made = emit(simulated, values)
@@ -137,7 +139,7 @@ def test_a_joint_is_remembered_as_fast_as_it_was_lately() -> None:
     np.testing.assert_allclose(again, 1.5 * (1.0 - np.exp(-0.5)), rtol=1e-6)
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", FORMS)
 def test_an_emitted_model_loads_again_as_the_same_robot(name: str, tmp_path: Path) -> None:
     simulated, values = with_effect(name)
     made = emit(simulated, values)
