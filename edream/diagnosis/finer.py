@@ -1,5 +1,6 @@
 """An effect's finer form, of one number more, where motions left out ask for it."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -8,13 +9,15 @@ from jaxtyping import Float
 from edream.catalog import load
 from edream.core.effect import Effect
 from edream.diagnosis.backward import is_away
-from edream.diagnosis.candidates import standing
-from edream.diagnosis.descent import Fit, descend, polish
+from edream.diagnosis.candidates import Candidate, standing
+from edream.diagnosis.descent import Fit, begin, descend, polish
 from edream.diagnosis.left_out import is_real
 from edream.diagnosis.problem import Problem
+from edream.diagnosis.side_by_side import side_by_side
 from edream.diagnosis.starts import with_column
 from edream.diagnosis.trials import Trial, judged, predicted
 from edream.sim.objective import Objective
+from edream.sim.simulation import Placement
 
 STEPS = (0.0, 0.05, -0.05)  # of its range, from its absence: where a number begins that others have made up for
 
@@ -37,13 +40,35 @@ def with_finer(problem: Problem, errors: Float[np.ndarray, "M"], taken: Trial, e
     more = place.parameters(problem.robot.model)[-1]
     if more.absent is None or more.name in simulated.space.names:
         return taken, ended
-    longer = simulated.with_placements([*(one for one in simulated.placements if one is not plain), place])
+    longer = simulated.with_placements([*(one for one in simulated.placements if one is not plain), place])  # it was last
     extended = replace(ended.objective, simulated=longer, simulations=0)
-    fit = min((gone_down(ended, extended, more.absent + step * (more.high - more.low)) for step in STEPS), key=lambda one: one.rms)
+    begun = [more.absent + step * (more.high - more.low) for step in STEPS]
+    ends = side_by_side(lambda value: gone_down(ended, extended, value), begun, problem.settings.threads)
+    fit = min(ends, key=lambda one: one.rms)
     trial = judged(problem, fit, errors, taken)
     left, now = ended.rms**2 - problem.floor**2, fit.rms**2 - problem.floor**2
     better = left - now >= problem.settings.gain * left and trial.errors.mean() < known.mean()
     return (trial, fit) if better and is_away(fit, more) else (taken, ended)
+
+
+def with_plain(problem: Problem, fit: Fit, kept: Sequence[Candidate]) -> Fit:
+    """The fit, effects in their plain form again whose further number may be none beside what was taken later."""
+    for candidate in kept if len(kept) > 1 else ():
+        place, plain = standing(problem, candidate, fit.objective.simulated), load("effects", candidate.effect, Effect)
+        if place.effect is plain:
+            continue
+        more = place.parameters(problem.robot.model)[-1]
+        fit = fit if fit.ended else polish(fit)  # where intervals are true
+        if not is_away(fit, more):
+            fit = descend(_without_number(fit, place, plain, more.name), None, 3)
+    return fit
+
+
+def _without_number(fit: Fit, place: Placement, plain: Effect, name: str) -> Fit:
+    simulated = fit.objective.simulated
+    placements = [replace(one, effect=plain) if one is place else one for one in simulated.placements]
+    smaller = replace(fit.objective, simulated=simulated.with_placements(placements), simulations=0)
+    return begin(smaller, fit.unit[[other != name for other in fit.space.names]])
 
 
 def gone_down(fit: Fit, extended: Objective, value: float) -> Fit:

@@ -13,6 +13,7 @@ from edream.diagnosis.backward import backward, refitted_without, still_standing
 from edream.diagnosis.candidates import Candidate, placement, standing
 from edream.diagnosis.decide import ALIKE, Round, forward, rivals
 from edream.diagnosis.descent import Fit, polish
+from edream.diagnosis.finer import with_plain
 from edream.diagnosis.left_out import (
     agreement,
     bootstrap,
@@ -88,6 +89,7 @@ def diagnose(problem: Problem, done: Callable[[str, int], object] = lambda text,
     ladder += [(_label(t), np.sqrt(proof_errors(problem, t.fit))) for t in taken]
     fit, kept = backward(problem, fit, [t.candidate for t in taken], rounds[0].errors)
     fit, kept = still_standing(problem, fit, kept) if len(kept) < len(taken) else (fit, kept)
+    fit = with_plain(problem, fit, kept)
     trials, heard = left_alone(problem, fit, rounds, [t for t in taken if t.candidate in kept])
     left = predicted(problem, fit, trials[-1] if len(kept) == len(taken) else None) if trials else rounds[0].errors
     short = falls_short(problem, rounds[0].errors, left) if trials else is_left(problem, left, ladder[1][1] ** 2)

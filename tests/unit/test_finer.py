@@ -1,18 +1,20 @@
 """Friction that does not grow in proportion to the load is said to do so, and nothing else is named for what its form leaves."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from benchmarks.blind.cases import robot_of
 from edream.core.episode import Episode
-from edream.diagnosis.candidates import Candidate, standing
-from edream.diagnosis.descent import polish
-from edream.diagnosis.finer import with_finer
+from edream.diagnosis import finer
+from edream.diagnosis.candidates import Candidate, placement, standing
+from edream.diagnosis.descent import begin, polish
+from edream.diagnosis.finer import with_finer, with_plain
 from edream.diagnosis.left_out import left_out_errors
 from edream.diagnosis.naming import numbers_of
-from edream.diagnosis.nuisance import fit_nuisance
+from edream.diagnosis.nuisance import fit_nuisance, published
 from edream.diagnosis.problem import Settings, prepare
 from edream.diagnosis.screen import Scored
 from edream.diagnosis.trials import refit
@@ -21,6 +23,7 @@ from edream.reality.friction_effects import LoadFriction
 from edream.reality.plant import Moment
 from edream.reality.recorder import Recorder, make_recordings
 from edream.reality.truth import draw
+from edream.sim.simulation import SimulatedRobot
 
 LOAD = Candidate("load_friction", ("tilt",))
 
@@ -60,3 +63,27 @@ def test_friction_that_rises_faster_than_the_load_has_one_number_more(monkeypatc
         assert taken.closed > plain.closed and ended.rms < 0.7 * before.rms
     else:
         assert ended is before and taken is plain
+
+
+@pytest.mark.parametrize(("quadratic", "stays"), [(0.8, True), (0.01, False)])
+def test_a_further_number_that_may_be_none_beside_a_later_effect_goes_again(
+    monkeypatch: pytest.MonkeyPatch, quadratic: float, stays: bool
+) -> None:
+    robot = robot_of("pan_tilt")
+    assert robot is not None
+    truth = draw(robot, [], np.random.default_rng(5), 0.3)
+    made = make_recordings(robot, truth, 5, 4, 2.0, Recorder())
+    episodes = [Episode(r.name, robot.joints, r.times, r.position, r.command_times, r.command) for r in made]
+    problem = prepare(robot, episodes, Settings())
+    plain, later = placement(problem, LOAD), placement(problem, Candidate("quadratic_drag", ("pan",)))
+    assert plain.effect.finer is not None
+    simulated = SimulatedRobot(robot, (replace(plain, effect=plain.effect.finer), later))
+    found = simulated.space.mapping(simulated.space.start()) | {"load_friction.quadratic[tilt]": quadratic}
+    objective = replace(published(problem), simulated=simulated)
+    fit = replace(begin(objective, simulated.space.to_unit(simulated.space.vector(found))), ended=True)
+    monkeypatch.setattr(finer, "is_away", lambda fit, parameter: fit.space.mapping(fit.values)[parameter.name] > 0.5)
+    assert with_plain(problem, fit, [LOAD]) is fit, "nothing came later"
+    ended = with_plain(problem, fit, [LOAD, Candidate("quadratic_drag", ("pan",))])
+    assert (ended is fit) is stays
+    left = [name for name in fit.space.names if stays or "quadratic[tilt]" not in name]
+    assert list(ended.space.names) == left and any("quadratic_drag" in name for name in left)
