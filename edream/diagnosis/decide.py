@@ -120,6 +120,7 @@ def forward(
                 taken, ended = trial, there
         if taken is not None:
             taken, ended = with_finer(problem, errors, taken, ended)
+            trials = sorted([taken, *(t for t in trials if t.candidate != taken.candidate)], key=lambda t: -t.closed)
         rounds.append(Round(fit, errors, scored, trials, taken))
         if taken is None:
             break

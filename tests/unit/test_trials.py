@@ -361,9 +361,9 @@ def _rounds(monkeypatch: pytest.MonkeyPatch, left: list[float], joint_errors: li
         "outdone": lambda problem, fit, errors, trials: None,
         "passes": lambda problem, trial: True,
         "first_that_stands": lambda problem, fit, passing: (passing[0] if passing else None, fit),
-        "narrowed": lambda problem, fit, errors, taken, ended: None,
+        "narrowed": lambda problem, fit, errors, taken, ended: (replace(taken, share=0.2), fit),
     }
-    for name, stand_in in told.items():
+    for name, stand_in in (told | {"stands": lambda *one: True, "told_apart": lambda *one: False}).items():
         monkeypatch.setattr(decide, name, stand_in)
     monkeypatch.setattr(left_out, "gained_on", lambda problem, joints, before, after: 0.0)
     monkeypatch.setattr(left_out, "joint_errors", lambda problem, fit: np.array(joint_errors))
@@ -377,6 +377,7 @@ def test_after_two_names_that_close_less_than_half_no_third_is_looked_for(
 ) -> None:
     rounds = _rounds(monkeypatch, left, [1.0, 1.0])
     assert [one.taken is not None for one in rounds] == [True] * names + [False]
+    assert all(one.taken in one.trials for one in rounds[:names]), "as it was taken, narrowed perhaps"
 
 
 @pytest.mark.parametrize("left", [[200.0**2, 1.2**2], [200.0**2, 1.0], [1.0]])
