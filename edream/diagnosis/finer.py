@@ -9,9 +9,9 @@ from jaxtyping import Float
 from edream.catalog import load
 from edream.core.effect import Effect
 from edream.diagnosis.backward import is_away
-from edream.diagnosis.candidates import Candidate, standing
+from edream.diagnosis.candidates import Candidate, acted_on, standing
 from edream.diagnosis.descent import Fit, begin, descend, polish
-from edream.diagnosis.left_out import is_real
+from edream.diagnosis.left_out import REAL_GAP, is_real, joint_errors
 from edream.diagnosis.problem import Problem
 from edream.diagnosis.side_by_side import side_by_side
 from edream.diagnosis.starts import with_column
@@ -32,7 +32,9 @@ def with_finer(problem: Problem, errors: Float[np.ndarray, "M"], taken: Trial, e
         taken: the effect, its search at `ended`.
     """
     finer = load("effects", taken.candidate.effect, Effect).finer
-    if finer is None or not is_real(problem, known := predicted(problem, ended, taken)):
+    if finer is None or not is_left_on(problem, ended, acted_on(taken.candidate)):
+        return taken, ended
+    if not is_real(problem, known := predicted(problem, ended, taken)):
         return taken, ended
     simulated = ended.objective.simulated
     plain = standing(problem, taken.candidate, simulated)
@@ -69,6 +71,15 @@ def _without_number(fit: Fit, place: Placement, plain: Effect, name: str) -> Fit
     placements = [replace(one, effect=plain) if one is place else one for one in simulated.placements]
     smaller = replace(fit.objective, simulated=simulated.with_placements(placements), simulations=0)
     return begin(smaller, fit.unit[[other != name for other in fit.space.names]])
+
+
+def is_left_on(problem: Problem, fit: Fit, joints: frozenset[str]) -> bool:
+    """Whether one of some joints is left with a real gap."""
+    return any(
+        error > REAL_GAP * problem.floor
+        for joint, error in zip(problem.joints, joint_errors(problem, fit), strict=True)
+        if joint in joints
+    )
 
 
 def gone_down(fit: Fit, extended: Objective, value: float) -> Fit:
