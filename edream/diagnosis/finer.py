@@ -1,4 +1,4 @@
-"""An effect's finer form, of one number more, where motions left out ask for it."""
+"""An effect's finer form, of one number more, where the plain one leaves a gap."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -23,13 +23,17 @@ STEPS = (0.0, 0.05, -0.05)  # of its range, from its absence: where a number beg
 
 
 def with_finer(problem: Problem, errors: Float[np.ndarray, "M"], taken: Trial, ended: Fit) -> tuple[Trial, Fit]:
-    """An effect in its finer form where its plain one leaves a gap, of which that surely takes enough; as it is otherwise.
+    """An effect in its finer form where its plain one leaves a real gap on its own joint; as it is otherwise.
 
-    What a form that is not quite right leaves looks like further effects, none of them there.
+    The finer one has to take the share `gain` of that gap in the fit, do no worse on motions left out, and have a further number
+    that is surely not absent. What a form that is not quite right leaves looks like further effects, none of them there.
 
     Args:
         errors: on motions left out [rad^2], (M,), without the effect.
         taken: the effect, its search at `ended`.
+
+    Returns:
+        The effect as it is taken, and the end of that search.
     """
     finer = load("effects", taken.candidate.effect, Effect).finer
     if finer is None or not is_left_on(problem, ended, acted_on(taken.candidate)):

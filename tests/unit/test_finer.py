@@ -15,7 +15,7 @@ from edream.diagnosis.finer import with_finer, with_plain
 from edream.diagnosis.left_out import left_out_errors
 from edream.diagnosis.naming import numbers_of
 from edream.diagnosis.nuisance import fit_nuisance, published
-from edream.diagnosis.problem import Settings, prepare
+from edream.diagnosis.problem import Problem, Settings, prepare
 from edream.diagnosis.screen import Scored
 from edream.diagnosis.trials import refit
 from edream.reality import effects
@@ -42,15 +42,20 @@ def _kinds(rising: bool) -> Mapping[str, effects.Kind]:
     return {**effects.KINDS, "load_friction": own if rising else proportional}
 
 
+def _problem(hidden: list[str], motions: int, seconds: float) -> Problem:
+    """A pan-tilt head that hides effects on its tilt joint, recorded for so long [s]."""
+    robot = robot_of("pan_tilt")
+    assert robot is not None
+    truth = draw(robot, hidden, np.random.default_rng(5), 0.3, ("tilt",) * len(hidden))
+    made = make_recordings(robot, truth, 5, motions, seconds, Recorder())
+    episodes = [Episode(r.name, robot.joints, r.times, r.position, r.command_times, r.command) for r in made]
+    return prepare(robot, episodes, Settings())
+
+
 @pytest.mark.parametrize("rising", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_friction_that_rises_faster_than_the_load_has_one_number_more(monkeypatch: pytest.MonkeyPatch, rising: bool) -> None:
     monkeypatch.setattr(effects, "KINDS", _kinds(rising))
-    robot = robot_of("pan_tilt")
-    assert robot is not None
-    truth = draw(robot, ["load_friction"], np.random.default_rng(5), 0.3, ("tilt",))
-    made = make_recordings(robot, truth, 5, 6, 5.0, Recorder())
-    episodes = [Episode(r.name, robot.joints, r.times, r.position, r.command_times, r.command) for r in made]
-    problem = prepare(robot, episodes, Settings())
+    problem = _problem(["load_friction"], 6, 5.0)
     fit = fit_nuisance(problem)
     errors = left_out_errors(problem, fit)
     plain = refit(problem, fit, errors, Scored(LOAD, {"slope": 0.05, "motor_share": 0.1, "inside": 0.8}, 0.5))
@@ -69,15 +74,10 @@ def test_friction_that_rises_faster_than_the_load_has_one_number_more(monkeypatc
 def test_a_further_number_that_may_be_none_beside_a_later_effect_goes_again(
     monkeypatch: pytest.MonkeyPatch, quadratic: float, stays: bool
 ) -> None:
-    robot = robot_of("pan_tilt")
-    assert robot is not None
-    truth = draw(robot, [], np.random.default_rng(5), 0.3)
-    made = make_recordings(robot, truth, 5, 4, 2.0, Recorder())
-    episodes = [Episode(r.name, robot.joints, r.times, r.position, r.command_times, r.command) for r in made]
-    problem = prepare(robot, episodes, Settings())
+    problem = _problem([], 4, 2.0)
     plain, later = placement(problem, LOAD), placement(problem, Candidate("quadratic_drag", ("pan",)))
     assert plain.effect.finer is not None
-    simulated = SimulatedRobot(robot, (replace(plain, effect=plain.effect.finer), later))
+    simulated = SimulatedRobot(problem.robot, (replace(plain, effect=plain.effect.finer), later))
     found = simulated.space.mapping(simulated.space.start()) | {"load_friction.quadratic[tilt]": quadratic}
     objective = replace(published(problem), simulated=simulated)
     fit = replace(begin(objective, simulated.space.to_unit(simulated.space.vector(found))), ended=True)
