@@ -12,7 +12,7 @@ from edream.diagnosis.astray import screen_twice
 from edream.diagnosis.backward import stands, without
 from edream.diagnosis.candidates import Candidate, acted_on, confused_with, placement, untouched
 from edream.diagnosis.descent import Fit, begin, descend, polish
-from edream.diagnosis.finer import with_finer
+from edream.diagnosis.finer import finest
 from edream.diagnosis.left_out import (
     HALF,
     asks_for_more,
@@ -119,7 +119,9 @@ def forward(
             if stands(problem, trial.candidate, there) and not told_apart(problem, trial, taken):
                 taken, ended = trial, there
         if taken is not None:
-            taken, ended = with_finer(problem, errors, taken, ended)
+            there = [t for t in passing if t.candidate.targets == taken.candidate.targets and t.candidate != taken.candidate]
+            alike = [t for t in there if not told_apart(problem, t, taken)]
+            taken, ended = finest(problem, fit, errors, taken, ended, alike)
             trials = sorted([taken, *(t for t in trials if t.candidate != taken.candidate)], key=lambda t: -t.closed)
         rounds.append(Round(fit, errors, scored, trials, taken))
         if taken is None:
@@ -236,15 +238,18 @@ def simplified(problem: Problem, fit: Fit, errors: Float[np.ndarray, "M"], trial
 
 
 def simplest(problem: Problem, passing: Sequence[Trial]) -> Trial | None:
-    """The best of the candidates that pass, or what does as well and is its special case or more usual; None where none passes."""
+    """The best of the candidates that pass, or what does as well and is its special case, or nearly so and is met in more robots.
+
+    None where none passes.
+    """
     best = passing[0] if passing else None
     if best is None:
         return None
     special = load("effects", best.candidate.effect, Effect).special
     plain = Candidate(special[0], best.candidate.targets) if special else None
     usual = [] if is_usual(problem, best) else [t for t in passing if is_usual(problem, t)]
-    plainer = [t for t in passing if t.candidate == plain] + usual
-    same = next((t for t in plainer if t.closed >= AS_WELL * best.closed), None)
+    plainer = [t for t in passing if t.candidate == plain and t.closed >= AS_WELL * best.closed]
+    same = next((t for t in (*plainer, *usual) if t.closed >= ALIKE * best.closed), None)
     return best if same is None or told_apart(problem, same, best) else same
 
 

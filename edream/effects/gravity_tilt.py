@@ -1,12 +1,14 @@
 """A base that does not stand level."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import mujoco
 import numpy as np
 
 from edream.core.effect import Effect, Fields, Values
 from edream.core.parameters import Parameter
+
+STEEPEST = 0.3  # rad: a robot that leans more is seen to; one that seems to has its weight or its servos otherwise than the model
 
 
 class GravityTilt(Effect):
@@ -28,6 +30,9 @@ class GravityTilt(Effect):
 
     def probes(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[dict[str, float], ...]:
         return tuple({"about_x": 0.03 * a, "about_y": 0.03 * b} for a, b in ((1.0, 0.0), (0.0, 1.0)))
+
+    def is_usual(self, values: Mapping[str, float]) -> bool:
+        return max(map(abs, values.values())) <= STEEPEST
 
     def write(self, fields: Fields, target: str, values: Values) -> None:
         a, b = values["about_x"], values["about_y"]

@@ -108,6 +108,14 @@ def test_a_gear_off_by_a_thousandth_gives_way_to_what_motions_do_not_tell_from_i
     assert found is not None and found.candidate.effect == first
 
 
+@pytest.mark.parametrize(("about_x", "first"), [(0.45, "encoder_offset"), (0.2, "gravity_tilt")])
+def test_a_base_that_leans_as_nobody_would_leave_it_gives_way(problem: Problem, fit: Fit, about_x: float, first: str) -> None:
+    tilt = _tried(problem, fit, Candidate("gravity_tilt", ()), {"about_x": about_x, "about_y": 0.02}, 0.67)
+    offset = _tried(problem, fit, Candidate("encoder_offset", ("tilt",)), {"angle": 0.02}, 0.62)
+    found = simplest(problem, [tilt, offset])
+    assert found is not None and found.candidate.effect == first
+
+
 @pytest.mark.parametrize(
     ("ended", "half", "there", "down"), [(True, 0.1, 0.1, True), (False, 0.1, 0.1, True), (False, 0.1, 1.2, False)]
 )
