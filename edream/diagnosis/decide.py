@@ -120,8 +120,7 @@ def forward(
                 taken, ended = trial, there
         if taken is not None:
             there = [t for t in passing if t.candidate.targets == taken.candidate.targets and t.candidate != taken.candidate]
-            alike = [t for t in there if not told_apart(problem, t, taken)]
-            taken, ended = finest(problem, fit, errors, taken, ended, alike)
+            taken, ended = finest(problem, fit, errors, taken, ended, there)
             trials = sorted([taken, *(t for t in trials if t.candidate != taken.candidate)], key=lambda t: -t.closed)
         rounds.append(Round(fit, errors, scored, trials, taken))
         if taken is None:

@@ -34,7 +34,7 @@ def finest(
         before: the fit without the effect.
         errors: of that fit on motions left out [rad^2], (M,).
         taken: the effect, its search at `ended`.
-        rivals: trials of other effects in its place that motions left out do not tell from it.
+        rivals: trials of other effects in its place; plain they may do worse, for want of that number.
 
     Returns:
         The effect as it is taken, and the end of its search.
