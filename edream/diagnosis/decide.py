@@ -12,7 +12,7 @@ from edream.diagnosis.astray import screen_twice
 from edream.diagnosis.backward import stands, without
 from edream.diagnosis.candidates import Candidate, acted_on, confused_with, placement, untouched
 from edream.diagnosis.descent import Fit, begin, descend, polish
-from edream.diagnosis.finer import finest
+from edream.diagnosis.finer import closes_more, finest
 from edream.diagnosis.left_out import (
     HALF,
     asks_for_more,
@@ -106,7 +106,7 @@ def forward(
             trials = with_bold(problem, fit, errors, trials, lambda n: done("searching", n))
         trials = with_rough(problem, fit, errors, trials, lambda n: done("searching", n))
         trials = with_confusable(problem, fit, errors, scored, trials, lambda n: done("refitting", n))
-        trials = settled(problem, errors, trials)
+        trials = settled(problem, fit, errors, trials)
         trials = restarted(problem, errors, trials)
         trials = simplified(problem, fit, errors, trials)
         if not rounds and (formula := outdone(problem, fit, errors, trials)) is not None:
@@ -166,18 +166,19 @@ def matters(
     return first is errors or is_material(problem, first, (errors, fit), (trial.errors, trial.fit), bare)
 
 
-def settled(problem: Problem, errors: Float[np.ndarray, "M"], trials: Sequence[Trial]) -> list[Trial]:
+def settled(problem: Problem, fit: Fit, errors: Float[np.ndarray, "M"], trials: Sequence[Trial]) -> list[Trial]:
     """The trials, those near the best gone down to their ends: an effect of more numbers needs more steps to show what it can.
 
     Where the best leaves a gap that can be seen, those further behind as well, and the first of them to the end of their valleys:
     where one is all but flat (a lag beside damping and inertia) steps have become small long before. The best goes on although it
-    is not sure yet: half-way there it may have made one motion worse.
+    is not sure yet: half-way there it may have made one motion worse. So do, where none is sure, those that gain in the fit.
     """
     most = max((t.closed for t in trials), default=0.0)
     worth_it = [t for t in trials if t.sure or t.closed >= max(problem.settings.gain, most)]
-    leads = next(iter(worth_it), None)
+    gaining = [] if worth_it else sorted((t for t in trials if closes_more(problem, fit, t.fit)), key=lambda t: t.fit.rms)
+    leads = next(iter(worth_it or gaining), None)
     short = leads is not None and is_brief(leads.fit) and not leaves_no_gap(problem, leads.fit)
-    best = [t for t in worth_it if t.closed >= (BEHIND if short else NEAR) * most][:RIVALS]
+    best = [t for t in worth_it if t.closed >= (BEHIND if short else NEAR) * most][:RIVALS] + gaining[:SHAPES]
     near = [t for t in best if is_brief(t.fit) or not passes(problem, t)]
     begun, threads = [replace(t.fit, scale=worth(t.fit.objective, t.fit.residual)) for t in near], problem.settings.threads
     ends = list(side_by_side(lambda one: descend(one, None, 4), begun, threads))

@@ -40,8 +40,9 @@ def finest(
         The effect as it is taken, and the end of its search.
     """
     best, fit = with_finer(problem, errors, taken, ended)
-    for rival in rivals if is_left_on(problem, fit, acted_on(taken.candidate)) else ():
-        if load("effects", rival.candidate.effect, Effect).finer is None:
+    for rival in rivals:
+        finer = load("effects", rival.candidate.effect, Effect).finer
+        if finer is None or not is_left_on(problem, fit, acted_on(taken.candidate)):
             continue
         found = in_finer_form(problem, errors, rival, polish(arrived(problem, before, rival)))
         if found is None:

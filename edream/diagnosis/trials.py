@@ -142,13 +142,15 @@ def on_few(problem: Problem, fit: Fit) -> Fit:
 def gone_on(fit: Fit, near: Fit, joints: frozenset[str] = frozenset()) -> Fit:
     """A candidate's first steps beside `fit` taken on, on all of its motions; they may have been taken on a few, in longer steps.
 
-    The usual numbers of `joints` are differenced with the candidate's own.
+    Where usual numbers have gone with those few and are far off in all of them, those of the fit are taken again. The usual numbers
+    of `joints` are differenced with the candidate's own.
     """
     own = fresh_columns(fit, near.objective) | of_joints(near.objective, joints)
     if len(near.residual) < len(fit.residual) or near.objective.offset is not None:
         simulated = fit.objective.simulated.with_placements(near.objective.simulated.placements)
         whole = replace(fit.objective, simulated=simulated, simulations=0)
-        near = with_column(fit, whole, near.values, own)
+        starts = np.array([near.values, np.append(fit.values, near.values[len(fit.values) :])])
+        near = with_column(fit, whole, starts[np.argmin([rms(r) for r in whole.residuals(starts)])], own)
     return descend(near, own, iterations=4, tolerance=TOLD)
 
 

@@ -182,11 +182,11 @@ def test_rivals_go_to_the_end_of_their_valleys_where_the_best_leaves_a_gap(
     monkeypatch.setattr(decide, "judged", lambda problem, fit, errors, t: replace(t, fit=fit, closed=1.0 / fit.rms))
     problem = SimpleNamespace(floor=1.0, settings=SimpleNamespace(gain=0.1, threads=1))
     trials_ = [trial("delay", 0.8), trial("lag", 0.5), trial("spring", 0.3)]
-    found = decide.settled(problem, np.zeros(4), trials_)
+    found = decide.settled(problem, FitOf("before", 2.0), np.zeros(4), trials_)
     assert ended == polished and len(found) == 3
     assert found[-1].candidate.effect == "spring" and found[-1].closed == 0.3  # too far behind
     doubtful = [replace(trial("delay", 0.05), sure=False), trial("spring", 0.01)]  # too little to go on with, and not sure
-    assert decide.settled(problem, np.zeros(4), doubtful) == doubtful and ended == polished
+    assert decide.settled(problem, FitOf("before", 2.0), np.zeros(4), doubtful) == doubtful and ended == polished
 
 
 def test_the_best_goes_on_where_half_way_there_it_is_not_sure_yet(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -200,7 +200,7 @@ def test_the_best_goes_on_where_half_way_there_it_is_not_sure_yet(monkeypatch: p
     monkeypatch.setattr(decide, "descend", lambda fit, fresh, iterations: replace(fit, rms=1.0))
     monkeypatch.setattr(decide, "judged", lambda problem, fit, errors, t: replace(t, fit=fit, closed=1.0, sure=True))
     problem = SimpleNamespace(floor=1.0, settings=SimpleNamespace(gain=0.1, threads=1))
-    found = decide.settled(problem, np.zeros(4), [best, behind])
+    found = decide.settled(problem, FitOf("before", 2.0), np.zeros(4), [best, behind])
     assert [(t.candidate.effect, t.sure, t.closed) for t in found] == [("dead_zone", True, 1.0), ("lag", False, 0.35)]
 
 
@@ -355,7 +355,7 @@ def _rounds(monkeypatch: pytest.MonkeyPatch, left: list[float], joint_errors: li
         "with_bold": lambda problem, fit, errors, trials, done: trials,
         "with_rough": lambda problem, fit, errors, trials, done: trials,
         "with_confusable": lambda problem, fit, errors, scored, trials, done: trials,
-        "settled": lambda problem, errors, trials: trials,
+        "settled": lambda problem, fit, errors, trials: trials,
         "restarted": lambda problem, errors, trials: trials,
         "simplified": lambda problem, fit, errors, trials: trials,
         "outdone": lambda problem, fit, errors, trials: None,
