@@ -202,13 +202,16 @@ def to_their_ends(problem: Problem, fits: Sequence[Fit]) -> list[Fit]:
 def restarted(problem: Problem, errors: Float[np.ndarray, "M"], trials: Sequence[Trial]) -> list[Trial]:
     """The trials; where the best leaves a gap, its near rivals also from the nuisance numbers that it found.
 
-    One of them may be what closes the gap, and have been lost where numbers that make up for the whole effect led it.
+    One of them may be what closes the gap, and have been lost where numbers that make up for the whole effect led it; one that is
+    known to be confused with the best sooner than others.
     """
     best = next((t for t in trials if passes(problem, t)), None)
     if best is None or leaves_no_gap(problem, best.fit):
         return list(trials)
     bare = without(best.fit, best.candidate)
-    near = other_answers(best, [t for t in trials if t.sure and t.closed >= ALIKE * best.closed])[:SHAPES]
+    twins = {effect.name for effect in confused_with(problem, best.candidate.effect)}
+    close = [t for t in trials if t.sure and t.closed >= (NEAR if t.candidate.effect in twins else ALIKE) * best.closed]
+    near = other_answers(best, close)[:SHAPES]
     again = list(
         side_by_side(lambda t: judged(problem, beside(problem, bare, t.candidate), errors, t), near, problem.settings.threads)
     )
@@ -238,10 +241,7 @@ def simplified(problem: Problem, fit: Fit, errors: Float[np.ndarray, "M"], trial
 
 
 def simplest(problem: Problem, passing: Sequence[Trial]) -> Trial | None:
-    """The best of the candidates that pass, or what does as well and is its special case, or nearly so and is met in more robots.
-
-    None where none passes.
-    """
+    """The best of the candidates that pass, if any; or its special case that does as well, or one that robots have, nearly so."""
     best = passing[0] if passing else None
     if best is None:
         return None
@@ -371,12 +371,18 @@ def passes(problem: Problem, trial: Trial) -> bool:
 
 
 def rivals(problem: Problem, trials: Sequence[Trial], winner: Trial) -> list[tuple[Trial, bool]]:
-    """The other candidates of a round, and whether left-out motions can tell each from the winner.
+    """The other candidates of a round, and whether motions can tell each from the winner.
 
-    An effect that comes down to the winner is no other answer.
+    An effect that comes down to the winner is no other answer. One that needs no more numbers and meets the fitted motions as well
+    is not told from it: left out, each motion is predicted by a step from where the search stands, beside what is not found yet.
     """
     others = [t for t in trials if t.candidate != winner.candidate and not comes_down_to(problem, t, winner.candidate)]
-    return [(trial, told_apart(problem, trial, winner)) for trial in others]
+    return [(one, told_apart(problem, one, winner) and not meets_as_well(one.fit, winner.fit)) for one in others]
+
+
+def meets_as_well(fit: Fit, other: Fit) -> bool:
+    """Whether a fit of no more numbers is as near the motions as another."""
+    return len(fit.unit) <= len(other.unit) and fit.rms <= other.rms
 
 
 def told_apart(problem: Problem, worse: Trial, better: Trial) -> bool:

@@ -32,6 +32,18 @@ def test_usual_numbers_that_went_with_a_few_motions_are_those_of_all_again(
     np.testing.assert_allclose(begun.unit, np.append(fit.unit, near.unit[len(fit.unit) :]), atol=1e-12)
 
 
+@pytest.mark.parametrize(("near", "numbers", "apart"), [(0.9, 5, False), (0.9, 6, True), (1.1, 5, True)])
+def test_a_rival_that_meets_the_motions_as_well_with_no_more_numbers_is_not_told_apart(
+    problem: Problem, near: float, numbers: int, apart: bool
+) -> None:
+    def trial(effect: str, rms: float, count: int, squared: float) -> Trial:
+        there = SimpleNamespace(rms=rms, unit=np.zeros(count))
+        return Trial(Candidate(effect, ("tilt",)), 0.1, there, np.full(9, squared), 0.6, True)
+
+    winner, rival = trial("sensor_delay", 1.0, 5, 1.0), trial("actuator_delay", near, numbers, 2.0)
+    assert decide.rivals(problem, [winner, rival], winner) == [(rival, apart)]
+
+
 @dataclass(frozen=True)
 class FitOf:
     name: str
@@ -59,3 +71,25 @@ def test_what_gains_in_the_fit_goes_on_where_motions_left_out_are_sure_of_none(m
     found = decide.settled(problem, before, np.ones(4), tried)
     assert [(one.candidate.effect, one.closed, one.sure) for one in found] == [("delay", 0.8, True), ("spring", 0.05, False)]
     assert decide.settled(problem, before, np.ones(4), tried[:1]) == tried[:1], "nothing gains in the fit either"
+
+
+def test_what_the_best_is_known_to_be_confused_with_begins_again_sooner_than_others(
+    problem: Problem, fit: Fit, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Beside drag that was not found yet a delay of the measurements stood at 0.55 of the gap, the commands' at 0.65."""
+
+    def trial(effect: str, closed: float) -> Trial:
+        return Trial(Candidate(effect, ("tilt",)), 0.1, fit, np.full(4, 1.0 - closed), closed, True)
+
+    best, tried = trial("actuator_delay", 0.65), [trial("sensor_delay", 0.55), trial("quadratic_drag", 0.55)]
+    monkeypatch.setattr(decide, "passes", lambda problem, one: one.sure)
+    monkeypatch.setattr(decide, "leaves_no_gap", lambda problem, fit: False)
+    monkeypatch.setattr(decide, "without", lambda fit, candidate: fit)
+    monkeypatch.setattr(decide, "beside", lambda problem, bare, candidate: fit)
+    monkeypatch.setattr(decide, "judged", lambda problem, end, errors, one: replace(one, closed=0.66))
+    found = decide.restarted(problem, np.ones(4), [best, *tried])
+    assert [(one.candidate.effect, one.closed) for one in found] == [
+        ("sensor_delay", 0.66),
+        ("actuator_delay", 0.65),
+        ("quadratic_drag", 0.55),
+    ]

@@ -94,6 +94,7 @@ def test_rivals_begin_again_from_the_best_ones_numbers_once_for_each_answer(monk
         on("payload", "y"),
     ]
     begun: list[Candidate] = []
+    monkeypatch.setattr(decide, "confused_with", lambda problem, effect: [])
     monkeypatch.setattr(decide, "passes", lambda problem, trial: True)
     monkeypatch.setattr(decide, "leaves_no_gap", lambda problem, fit: False)
     monkeypatch.setattr(decide, "without", lambda fit, candidate: fit)
