@@ -11,7 +11,7 @@ from edream.catalog import load
 from edream.core.effect import Effect
 from edream.diagnosis.backward import backward, refitted_without, still_standing
 from edream.diagnosis.candidates import Candidate, placement, standing
-from edream.diagnosis.decide import ALIKE, Round, forward, rivals
+from edream.diagnosis.decide import ALIKE, Round, forward, meets_as_well, rivals
 from edream.diagnosis.descent import Fit, polish
 from edream.diagnosis.finer import with_plain
 from edream.diagnosis.left_out import (
@@ -203,7 +203,7 @@ def _named(problem: Problem, fit: Fit, trial: Trial, rounds: Sequence[Round], ta
     alike = tuple(
         other.candidate.label
         for other, told in others
-        if not told and other.closed >= ALIKE * trial.closed and is_another(other, trial)
+        if not told and is_another(other, trial) and (other.closed >= ALIKE * trial.closed or meets_as_well(other.fit, trial.fit))
     )
     different = [other for other, _ in others if is_another(other, trial)]
     runner = (different[0].candidate.label, different[0].closed) if different else None
