@@ -1,7 +1,7 @@
 """A two-joint arm whose recordings show what its model does, and fits of it that have an effect."""
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -76,3 +76,15 @@ def having(problem: Problem, fit: Fit, candidate: Candidate, quantities: Mapping
     extended, absent = extend(fit, [place])
     values = with_quantities(extended, absent, [place], [quantities])
     return begin(extended, extended.simulated.space.to_unit(values))
+
+
+@dataclass(frozen=True)
+class FitOf:
+    """A fit of which only this is told."""
+
+    name: str
+    rms: float
+    scale: float = 1.0
+    objective: object = None
+    residual: object = None
+    ended: bool = False

@@ -377,12 +377,12 @@ def rivals(problem: Problem, trials: Sequence[Trial], winner: Trial) -> list[tup
     is not told from it: left out, each motion is predicted by a step from where the search stands, beside what is not found yet.
     """
     others = [t for t in trials if t.candidate != winner.candidate and not comes_down_to(problem, t, winner.candidate)]
-    return [(one, told_apart(problem, one, winner) and not meets_as_well(one.fit, winner.fit)) for one in others]
+    return [(one, told_apart(problem, one, winner) and not meets_as_well(one, winner)) for one in others]
 
 
-def meets_as_well(fit: Fit, other: Fit) -> bool:
-    """Whether a fit of no more numbers is as near the motions as another."""
-    return len(fit.unit) <= len(other.unit) and fit.rms <= other.rms
+def meets_as_well(one: Trial, other: Trial) -> bool:
+    """Whether a candidate that surely helps is, with no more numbers, as near the fitted motions as another."""
+    return one.sure and len(one.fit.unit) <= len(other.fit.unit) and one.fit.rms <= other.fit.rms
 
 
 def told_apart(problem: Problem, worse: Trial, better: Trial) -> bool:

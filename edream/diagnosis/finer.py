@@ -47,7 +47,7 @@ def finest(
         found = in_finer_form(problem, errors, rival, polish(arrived(problem, before, rival)))
         if found is None:
             continue
-        other, there = found
+        other, there, _ = found
         better = closes_more(problem, fit, there) and other.errors.mean() < best.errors.mean()
         if better and stands(problem, other.candidate, there):
             best, fit = other, there
@@ -70,18 +70,24 @@ def with_finer(problem: Problem, errors: Float[np.ndarray, "M"], taken: Trial, e
     found = in_finer_form(problem, errors, taken, ended)
     if found is None:
         return taken, ended
-    trial, fit = found
+    trial, fit, known = found
     more = standing(problem, taken.candidate, fit.objective.simulated).parameters(problem.robot.model)[-1]
-    better = closes_more(problem, ended, fit) and trial.errors.mean() < predicted(problem, ended, taken).mean()
+    better = closes_more(problem, ended, fit) and trial.errors.mean() < known.mean()
     return (trial, fit) if better and is_away(fit, more) else (taken, ended)
 
 
-def in_finer_form(problem: Problem, errors: Float[np.ndarray, "M"], taken: Trial, ended: Fit) -> tuple[Trial, Fit] | None:
-    """An effect in its finer form at the end of its search, where there is one and the plain one leaves a real gap on its joint."""
+def in_finer_form(
+    problem: Problem, errors: Float[np.ndarray, "M"], taken: Trial, ended: Fit
+) -> tuple[Trial, Fit, Float[np.ndarray, "M"]] | None:
+    """An effect in its finer form, where there is one and the plain one leaves a real gap on its joint.
+
+    Returns:
+        The effect, the end of its search, and the errors on motions left out [rad^2], (M,), of the plain one.
+    """
     finer = load("effects", taken.candidate.effect, Effect).finer
     if finer is None or not is_left_on(problem, ended, acted_on(taken.candidate)):
         return None
-    if not is_real(problem, predicted(problem, ended, taken)):
+    if not is_real(problem, known := predicted(problem, ended, taken)):
         return None
     simulated = ended.objective.simulated
     plain = standing(problem, taken.candidate, simulated)
@@ -94,7 +100,7 @@ def in_finer_form(problem: Problem, errors: Float[np.ndarray, "M"], taken: Trial
     begun = [more.absent + step * (more.high - more.low) for step in STEPS]
     ends = side_by_side(lambda value: gone_down(ended, extended, value), begun, problem.settings.threads)
     fit = min(ends, key=lambda one: one.rms)
-    return judged(problem, fit, errors, taken), fit
+    return judged(problem, fit, errors, taken), fit, known
 
 
 def closes_more(problem: Problem, fit: Fit, other: Fit) -> bool:

@@ -203,7 +203,7 @@ def _named(problem: Problem, fit: Fit, trial: Trial, rounds: Sequence[Round], ta
     alike = tuple(
         other.candidate.label
         for other, told in others
-        if not told and is_another(other, trial) and (other.closed >= ALIKE * trial.closed or meets_as_well(other.fit, trial.fit))
+        if not told and is_another(other, trial) and (other.closed >= ALIKE * trial.closed or meets_as_well(other, trial))
     )
     different = [other for other, _ in others if is_another(other, trial)]
     runner = (different[0].candidate.label, different[0].closed) if different else None

@@ -115,6 +115,8 @@ def test_a_rival_is_taken_whose_finer_form_does_better_in_the_fit_and_on_motions
     monkeypatch.setattr(finer, "polish", lambda fit: fit)
     monkeypatch.setattr(finer, "is_left_on", lambda problem, fit, joints: True)
     monkeypatch.setattr(finer, "stands", lambda problem, candidate, fit: True)
-    monkeypatch.setattr(finer, "in_finer_form", lambda problem, errors, one, fit: (curved, there) if one is plain else None)
+    monkeypatch.setattr(
+        finer, "in_finer_form", lambda problem, errors, one, fit: (curved, there, one.errors) if one is plain else None
+    )
     found = finest(problem, ended, np.ones(4), taken, ended, [plain])
     assert found == ((curved, there) if is_taken else (taken, ended))

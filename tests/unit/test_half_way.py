@@ -1,6 +1,6 @@
 """A candidate's search goes on from where all motions say, and to its end where half-way there none is sure."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,7 +11,7 @@ from edream.diagnosis.candidates import Candidate
 from edream.diagnosis.descent import Fit, begin
 from edream.diagnosis.problem import Problem
 from edream.diagnosis.trials import Trial, gone_on
-from tests.still_problem import having
+from tests.still_problem import FitOf, having
 
 DELAY = Candidate("actuator_delay", ("tilt",))
 
@@ -32,26 +32,18 @@ def test_usual_numbers_that_went_with_a_few_motions_are_those_of_all_again(
     np.testing.assert_allclose(begun.unit, np.append(fit.unit, near.unit[len(fit.unit) :]), atol=1e-12)
 
 
-@pytest.mark.parametrize(("near", "numbers", "apart"), [(0.9, 5, False), (0.9, 6, True), (1.1, 5, True)])
+@pytest.mark.parametrize(
+    ("near", "numbers", "sure", "apart"), [(0.9, 5, True, False), (0.9, 6, True, True), (1.1, 5, True, True), (0.9, 5, False, True)]
+)
 def test_a_rival_that_meets_the_motions_as_well_with_no_more_numbers_is_not_told_apart(
-    problem: Problem, near: float, numbers: int, apart: bool
+    problem: Problem, near: float, numbers: int, sure: bool, apart: bool
 ) -> None:
     def trial(effect: str, rms: float, count: int, squared: float) -> Trial:
         there = SimpleNamespace(rms=rms, unit=np.zeros(count))
         return Trial(Candidate(effect, ("tilt",)), 0.1, there, np.full(9, squared), 0.6, True)
 
-    winner, rival = trial("sensor_delay", 1.0, 5, 1.0), trial("actuator_delay", near, numbers, 2.0)
+    winner, rival = trial("sensor_delay", 1.0, 5, 1.0), replace(trial("actuator_delay", near, numbers, 2.0), sure=sure)
     assert decide.rivals(problem, [winner, rival], winner) == [(rival, apart)]
-
-
-@dataclass(frozen=True)
-class FitOf:
-    name: str
-    rms: float
-    scale: float = 1.0
-    objective: object = None
-    residual: object = None
-    ended: bool = False
 
 
 def test_what_gains_in_the_fit_goes_on_where_motions_left_out_are_sure_of_none(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,7 +1,7 @@
 """Which refitted candidates go on, on made-up trials."""
 
 import itertools
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -17,7 +17,7 @@ from edream.diagnosis.suspects import Suspect
 from edream.diagnosis.trials import Trial
 from edream.sim.rollout import rollout
 from edream.sim.simulation import SimulatedRobot
-from tests.still_problem import NOISE, still_problem
+from tests.still_problem import NOISE, FitOf, still_problem
 
 
 def _trial(effect: str, closed: float) -> Trial:
@@ -203,16 +203,6 @@ def test_the_best_goes_on_where_half_way_there_it_is_not_sure_yet(monkeypatch: p
     problem = SimpleNamespace(floor=1.0, settings=SimpleNamespace(gain=0.1, threads=1))
     found = decide.settled(problem, FitOf("before", 2.0), np.zeros(4), [best, behind])
     assert [(t.candidate.effect, t.sure, t.closed) for t in found] == [("dead_zone", True, 1.0), ("lag", False, 0.35)]
-
-
-@dataclass(frozen=True)
-class FitOf:
-    name: str
-    rms: float
-    scale: float = 1.0
-    objective: object = None
-    residual: object = None
-    ended: bool = False
 
 
 def _diagnosed(monkeypatch: pytest.MonkeyPatch, strange: verdict.Named, told: dict[str, object]) -> verdict.Diagnosis:
