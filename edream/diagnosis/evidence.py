@@ -12,6 +12,7 @@ from edream.core.parameters import Parameter
 from edream.diagnosis.descent import Fit
 from edream.diagnosis.problem import Problem
 from edream.diagnosis.verdict import Diagnosis
+from edream.sim.followers import Followers
 from edream.sim.rollout import rollout
 from edream.sim.simulation import SimulatedRobot
 from edream.sim.window import Window
@@ -87,9 +88,10 @@ def gravity_load(problem: Problem, window: Window) -> np.ndarray:
     joints = window.episode.joints
     qpos = [int(model.jnt_qposadr[model.joint(name).id]) for name in joints]
     dofs = [int(model.jnt_dofadr[model.joint(name).id]) for name in joints]
-    out = np.empty(window.measured.shape)
+    out, followers = np.empty(window.measured.shape), Followers(model, joints)
     for row, pose in enumerate(window.measured):
         data.qpos[qpos] = pose
+        followers.place(data.qpos)
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         mujoco.mj_comVel(model, data)

@@ -16,6 +16,7 @@ from mujoco.rendering.classic import gl_context
 from edream.core.camera import Camera
 from edream.core.errors import EdreamError, unknown_name
 from edream.core.scene import SceneObject
+from edream.sim.followers import Followers
 from edream.sim.robot import RobotModel
 
 EYE = "edream_camera"
@@ -109,6 +110,7 @@ class SimulationCamera:
         self.model = _scene(robot, camera.resized(height, width), objects, hidden)
         self.data = mujoco.MjData(self.model)
         self._qpos = {joint: int(self.model.jnt_qposadr[self.model.joint(joint).id]) for joint in robot.joints}
+        self._followers = Followers(self.model, robot.joints)
         self._mocap = {one.name: int(self.model.body(OBJECT + one.name).mocapid[0]) for one in objects}
         self._geoms = {
             OBJECT: [g for g in range(self.model.ngeom) if self.model.body(self.model.geom_bodyid[g]).name.startswith(OBJECT)]
@@ -146,6 +148,7 @@ class SimulationCamera:
             if joint not in self._qpos:
                 raise unknown_name("joint", joint, self._qpos)
             self.data.qpos[self._qpos[joint]] = value
+        self._followers.place(self.data.qpos)
         for name, mocap in self._mocap.items():
             pose = objects.get(name)
             self.data.mocap_pos[mocap] = [0.0, 0.0, -1e3] if pose is None else pose[:3]

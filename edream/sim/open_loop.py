@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 from edream.core.effect import MEASURED_SUFFIX, MOTOR_SUFFIX, joint_index
 from edream.core.errors import EdreamError
+from edream.sim.followers import Followers
 from edream.sim.robot import RobotModel
 from edream.sim.rollout import rollout
 from edream.sim.servo import geared_readings
@@ -114,3 +115,4 @@ def _start(model: mujoco.MjModel, data: mujoco.MjData, window: Window, index: Se
         twin = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, joint + MOTOR_SUFFIX)
         if twin >= 0:
             data.qpos[model.jnt_qposadr[twin]], data.qvel[model.jnt_dofadr[twin]] = position, speed
+    Followers(model, window.episode.joints).place(data.qpos, data.qvel)

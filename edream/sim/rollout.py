@@ -13,6 +13,7 @@ from jaxtyping import Float
 from mujoco import batch
 
 from edream.core.effect import MEASURED_SUFFIX, MOTOR_SUFFIX, joint_index
+from edream.sim.followers import Followers
 from edream.sim.hooks import batch_hooks
 from edream.sim.mass import HAND_WEIGHT
 from edream.sim.rotor import has_rotor, wind_up
@@ -125,6 +126,7 @@ class _Replay:
         self.step = float(self.model.opt.timestep)
         joints = windows[0].episode.joints
         self.index = [joint_index(self.model, joint) for joint in joints]
+        self.followers = Followers(self.model, joints)
         self.ctrl_columns = np.array([one["ctrl"] for one in self.index])
         # simulation number = window * N + set, so that the simulations of ended windows are the last rows
         # hooks need all simulations at each step: a few are sooner done by one thread than two are brought together
@@ -177,7 +179,7 @@ class _Replay:
         return slice(number * self.n, (number + 1) * self.n)
 
     def _place(self, rows: slice, joints: Sequence[str], state: Sequence[tuple[Any, Any]]) -> None:
-        """Put the joints of some simulations, and the rotors behind them, where their encoders read so, at these speeds."""
+        """Put the joints of some simulations, rotors behind them and what follows them where encoders read so, at these speeds."""
         qpos, qvel = self.batch.bind("qpos"), self.batch.bind("qvel")
         geared = geared_readings(self.model, joints)
         gear = self.batch.expand("actuator_gear") if geared else None
@@ -189,6 +191,8 @@ class _Replay:
             if twin >= 0:
                 qpos[rows, self.model.jnt_qposadr[twin]] = position / own
                 qvel[rows, self.model.jnt_dofadr[twin]] = speed / own
+        for row in range(rows.start, rows.stop) if self.followers.joints else ():
+            self.followers.place(qpos[row], qvel[row])
 
     def _gathered(self, joints: Sequence[str]) -> Float[np.ndarray, "N I"]:
         """What each servo's integral holds as the windows begin, all recordings having begun at rest."""

@@ -4,6 +4,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
+from edream.sim.followers import Followers
 from edream.sim.robot import RobotModel
 from edream.sim.servo import places
 
@@ -28,9 +29,10 @@ def _stood(robot: RobotModel, links: list[str], readings: Float[np.ndarray, "T J
     model, data = robot.model, mujoco.MjData(robot.model)
     bodies = [int(model.body(link).id) for link in links]
     where = [int(model.joint(joint).qposadr[0]) for joint in robot.joints]
-    rows = []
+    followers, rows = Followers(model, robot.joints), []
     for row in places(model, robot.joints, readings):
         data.qpos[where] = row
+        followers.place(data.qpos)
         mujoco.mj_kinematics(model, data)
         rows.append(np.concatenate([data.xpos[bodies], data.xmat[bodies]], axis=1))
     return np.array(rows)

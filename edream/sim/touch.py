@@ -8,6 +8,7 @@ import mujoco
 
 from edream.core.effect import joint_index
 from edream.core.episode import Episode
+from edream.sim.followers import Followers
 from edream.sim.robot import RobotModel
 
 POSES = 20_000  # looked at, spread evenly over all recordings
@@ -17,16 +18,20 @@ NEAR = 0.005  # m: between two rows, or beside what an encoder says, so much may
 def kept_clear(robot: RobotModel, episodes: Sequence[Episode]) -> RobotModel:
     """The robot, marked as clear where none of its geoms touches another in the measured poses.
 
-    A model that moves in more ways than were recorded (a free object, a gripper without an encoder) is never marked.
+    A model that moves in more ways than were recorded, or than follow from that (a free object, a gripper without an encoder), is
+    never marked.
     """
     return replace(robot, clear=never_touches(robot, episodes))
 
 
 def never_touches(robot: RobotModel, episodes: Sequence[Episode]) -> bool:
     """Whether MuJoCo finds no two geoms touching in the measured poses, nor near each other but those that always are."""
-    if not episodes or robot.model.nq != len(episodes[0].joints):
+    if not episodes:
         return False
     model = copy.copy(robot.model)
+    followers = Followers(model, episodes[0].joints)
+    if model.nq != len(episodes[0].joints) + len(followers.joints):
+        return False
     model.geom_margin[:] = NEAR
     data = mujoco.MjData(model)
     columns = [joint_index(model, joint)["qpos"] for joint in episodes[0].joints]
@@ -35,6 +40,7 @@ def never_touches(robot: RobotModel, episodes: Sequence[Episode]) -> bool:
     for episode in episodes:
         for pose in episode.position[::every]:
             data.qpos[columns] = pose
+            followers.place(data.qpos)
             mujoco.mj_fwdPosition(model, data)
             pairs = {frozenset((int(one.geom1), int(one.geom2))) for one in data.contact}
             near = pairs if near is None else near

@@ -233,4 +233,4 @@ def _rendered(take: Take, rng: np.random.Generator) -> Bundle:
     return layered_shard(replace(episode, name=take.view), layers, take.folder, about)
 
 
-ENTRY = Stage("render", 2, needs, RenderConfig, run, sources, ("mujoco", "numpy"))
+ENTRY = Stage("render", 3, needs, RenderConfig, run, sources, ("mujoco", "numpy"))

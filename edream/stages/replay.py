@@ -145,4 +145,4 @@ def _scores(errors: np.ndarray) -> dict[str, float]:
     return {"rmse_rad": float(np.sqrt(np.mean(np.square(errors)))), "mae_rad": float(np.mean(np.abs(errors)))}
 
 
-ENTRY = Stage("replay", 6, ("ingest",), ReplayConfig, run, sources, ("mujoco", "numpy"))
+ENTRY = Stage("replay", 7, ("ingest",), ReplayConfig, run, sources, ("mujoco", "numpy"))

@@ -164,5 +164,5 @@ def sources(config: SweepConfig) -> Mapping[str, Source]:
 
 
 ENTRY = Stage(
-    name="sweep", version=9, needs=("ingest",), config=SweepConfig, run=run, sources=sources, numerics=("mujoco", "scipy")
+    name="sweep", version=10, needs=("ingest",), config=SweepConfig, run=run, sources=sources, numerics=("mujoco", "scipy")
 )

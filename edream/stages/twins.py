@@ -120,4 +120,4 @@ def sources(config: TwinsConfig) -> Mapping[str, Source]:
     return {"robot": config.robot.content(), "scene": scene, "plate": plate}
 
 
-ENTRY = Stage("twins", 5, needs, TwinsConfig, run, sources, ("mujoco", "numpy"))
+ENTRY = Stage("twins", 6, needs, TwinsConfig, run, sources, ("mujoco", "numpy"))

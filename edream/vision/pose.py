@@ -18,6 +18,7 @@ from edream.core.camera import Camera, looking_at
 from edream.core.episode import Episode
 from edream.core.errors import EdreamError, unknown_name
 from edream.sim.camera import SimulationCamera
+from edream.sim.followers import Followers
 from edream.sim.meshes import lightened
 from edream.sim.robot import RobotModel
 from edream.vision.frames import frames_at, positions_at
@@ -136,6 +137,7 @@ def _marked(robot: RobotModel, episodes: dict[str, Episode], marks: Sequence[Mar
         place = positions_at(episode, episode.position, np.array([mark.time]))[0]
         for joint, value in zip(episode.joints, place, strict=True):
             data.qpos[model.joint(joint).qposadr[0]] = value
+        Followers(model, episode.joints).place(data.qpos)
         mujoco.mj_kinematics(model, data)
         points.append((data.site if mark.point in sites else data.body)(mark.point).xpos.copy())
     return np.array(points), np.array([[m.u, m.v] for m in marks])
