@@ -12,6 +12,7 @@ from edream.diagnosis.astray import screen_twice
 from edream.diagnosis.backward import stands, without
 from edream.diagnosis.candidates import Candidate, acted_on, confused_with, placement, untouched
 from edream.diagnosis.descent import Fit, begin, descend, polish
+from edream.diagnosis.ends import begun_again, to_their_ends
 from edream.diagnosis.finer import closes_more, finest
 from edream.diagnosis.left_out import (
     HALF,
@@ -34,7 +35,6 @@ from edream.diagnosis.steps import with_short_steps
 from edream.diagnosis.suspects import elsewhere
 from edream.diagnosis.trials import (
     HOPELESS,
-    SHAPED,
     SHAPES,
     Trial,
     arrived,
@@ -182,21 +182,13 @@ def settled(problem: Problem, fit: Fit, errors: Float[np.ndarray, "M"], trials: 
     near = [t for t in best if is_brief(t.fit) or not passes(problem, t)]
     begun, threads = [replace(t.fit, scale=worth(t.fit.objective, t.fit.residual)) for t in near], problem.settings.threads
     ends = list(side_by_side(lambda one: descend(one, None, 4), begun, threads))
+    if problem.shared:
+        ends = begun_again(problem, ends, [t.candidate for t in near])
     if short and not any(leaves_no_gap(problem, end) for end in ends):
         ends = to_their_ends(problem, ends)
     again = list(side_by_side(lambda pair: judged(problem, pair[0], errors, pair[1]), list(zip(ends, near, strict=True)), threads))
     better = [max(pair, key=lambda t: (passes(problem, t), t.closed)) for pair in zip(near, again, strict=True)]
     return sorted([*better, *(t for t in trials if t not in near)], key=lambda t: -t.closed)
-
-
-def to_their_ends(problem: Problem, fits: Sequence[Fit]) -> list[Fit]:
-    """The fits, the nearest ones gone down to the end of their valleys; once one leaves no gap, only those that are near it."""
-    found, arrived_one = list(fits), False
-    for number in np.argsort([fit.rms for fit in fits], kind="stable")[:SHAPES].tolist():
-        if not arrived_one or fits[number].rms <= SHAPED * problem.floor:
-            found[number] = polish(fits[number])
-            arrived_one |= leaves_no_gap(problem, found[number])
-    return found
 
 
 def restarted(problem: Problem, errors: Float[np.ndarray, "M"], trials: Sequence[Trial]) -> list[Trial]:

@@ -19,9 +19,10 @@ from jaxtyping import Float
 from edream.core.effect import Effect, State
 from edream.core.parameters import Parameter
 from edream.diagnosis.descent import Fit, descend
+from edream.diagnosis.few import thinned
 from edream.diagnosis.left_out import bootstrap, folds, is_real, left_out_errors, worst_joint
 from edream.diagnosis.problem import Problem
-from edream.diagnosis.screen import Projection, extend, thinned
+from edream.diagnosis.screen import Projection, extend
 from edream.diagnosis.starts import fresh_columns, with_column
 from edream.diagnosis.steps import with_long_steps
 from edream.sim.scales import torque_scale

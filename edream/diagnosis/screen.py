@@ -11,7 +11,7 @@ Source: Rao's score test, Mathematical Proceedings of the Cambridge Philosophica
 """
 
 import logging
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,17 +23,16 @@ from edream.core.errors import EdreamError
 from edream.core.parameters import Parameter, targets_in
 from edream.diagnosis.candidates import Candidate, acted_on, alike, groups_of, library, placement, probes_of, rounds
 from edream.diagnosis.descent import Fit
+from edream.diagnosis.few import ENOUGH, thinned
 from edream.diagnosis.problem import Problem
 from edream.diagnosis.side_by_side import side_by_side
 from edream.diagnosis.steps import with_long_steps
-from edream.sim.mass import HAND_WEIGHT
 from edream.sim.objective import Objective
 from edream.sim.simulation import Placement, SimulatedRobot, write_fields
 
 FINALISTS = 16
 WORTH_A_LOOK = 0.002  # share
 TOGETHER = 1.2  # times the share of the best single joint, from which several that are not tied are tried as one
-ENOUGH = 20.0  # s of motion that a score test and first steps need
 SCANNED = 20.0  # s of motion that tells lengths of waves
 Unexplained = Callable[[Float[np.ndarray, "N R"]], Float[np.ndarray, "N"]]
 log = logging.getLogger(__name__)
@@ -41,8 +40,6 @@ LARGEST_ALPHA = 20.0
 WIDE, CLOSE = (0.5, 1.8), (0.5, 0.7, 0.8, 0.9, 1.1, 1.2, 1.35, 1.8)  # other sizes tried of an effect; of a limit
 HARDLY = 0.1  # of the best share: what explains less is looked at in one size alone
 MOST = 0.5  # of the gap: where something else explains as much, lengths of waves are not gone through
-TINY = 1e-300  # keeps shares of no error at all finite
-NEARLY = 0.97  # of so much motion is enough: recordings of 10 s end a little before
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,55 +85,6 @@ def screen(problem: Problem, fit: Fit, done: Callable[[int], object] = lambda n:
 def lightened(problem: Problem, fit: Fit) -> Fit:
     """The fit as first looks need it: on a few of its motions, in steps as long as the published ones."""
     return with_long_steps(problem, thinned(fit, ENOUGH))
-
-
-def thinned(fit: Fit, seconds: float) -> Fit:
-    """The fit on as few of its motions as last some `seconds` together, and stand for all: there a missing effect shows."""
-    windows = fit.objective.windows
-    squares = np.array([(part**2).sum(axis=0) for part in fit.objective.per_window(fit.residual)])
-    kept = representative(squares, np.array([float(w.times[-1]) for w in windows]), seconds, set_ups(fit))
-    if len(kept) == len(windows):
-        return fit
-    rows = np.isin(fit.objective.owner, kept)
-    offset = None if fit.objective.offset is None else fit.objective.offset[rows]
-    objective = replace(fit.objective, windows=[windows[i] for i in kept], simulations=0, offset=offset)
-    return replace(fit, objective=objective, residual=fit.residual[rows], jacobian=fit.jacobian[rows])
-
-
-def set_ups(fit: Fit) -> list[tuple[float | None, ...]]:
-    """How the robot was set up for each motion: the conditions that change what is simulated."""
-    scaled = {one.condition for place in fit.objective.simulated.placements for one in (place.scaled or {}).values()}
-    names = sorted(scaled | {HAND_WEIGHT})
-    return [tuple(window.episode.conditions.get(name) for name in names) for window in fit.objective.windows]
-
-
-def representative(
-    squares: Float[np.ndarray, "M J"], lasts: Float[np.ndarray, "M"], seconds: float, kinds: Sequence[Hashable] = ()
-) -> list[int]:
-    """Numbers of the motion that is off most, and of others beside it, among those that are off more than half of all are.
-
-    First of all that of each kind: what one set-up of the robot leaves open another tells.
-
-    Each time the one whose error makes the joints' shares of it most like those in all motions: the few that are off most may be
-    off by something of their own, on one joint, and what is on all joints alike goes unseen in them.
-
-    Args:
-        squares: sum of squared errors [rad^2] of each joint in each motion.
-        lasts: how long each motion is [s].
-        seconds: how much motion is enough.
-        kinds: which set-up each motion was made under; all alike where none is said.
-    """
-    shares = squares.sum(axis=0) / max(float(squares.sum()), TINY)
-    order = np.argsort(-squares.sum(axis=1), kind="stable").tolist()
-    kept = list({kinds[i] if kinds else 0: i for i in reversed(order)}.values())
-    left = [i for i in order if i not in kept]
-    while left and lasts[kept].sum() < NEARLY * seconds:
-        near = left[: max(len(lasts) // 2 - len(kept), 1)]
-        beside = squares[kept].sum(axis=0) + squares[near]
-        unlike = np.abs(beside / np.maximum(beside.sum(axis=1, keepdims=True), TINY) - shares).sum(axis=1)
-        kept.append(near[int(np.argmin(unlike))])
-        left.remove(kept[-1])
-    return sorted(kept)
 
 
 def worthwhile(problem: Problem, scored: Sequence[Scored]) -> list[Scored]:

@@ -7,9 +7,9 @@ import mujoco
 import numpy as np
 
 from edream.core.parameters import targets_in
-from edream.diagnosis.coordinate_search import coordinate_search
 from edream.diagnosis.descent import Fit, descend
 from edream.diagnosis.problem import VISIBLE, Problem
+from edream.diagnosis.valleys import out_of_false_valleys
 from edream.sim.objective import Objective, rms
 from edream.sim.servo import share_within_limit
 from edream.sim.simulation import SimulatedRobot
@@ -32,7 +32,7 @@ def with_short_steps(problem: Problem, fit: Fit) -> tuple[Problem, Fit]:
     stand in a false valley: they are led out of it, and from there steps are halved again.
     """
     problem, fit = _halved(problem, fit)
-    found = coordinate_search(problem, fit)
+    found = out_of_false_valleys(problem, fit)
     return (problem, fit) if found is fit else _halved(problem, found)
 
 

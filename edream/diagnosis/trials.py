@@ -9,6 +9,7 @@ from jaxtyping import Float
 from edream.core.effect import Effect
 from edream.diagnosis.candidates import Candidate, acted_on, library, placement, probes_of, rounds
 from edream.diagnosis.descent import Fit, begin, descend, stretches
+from edream.diagnosis.few import ENOUGH, thinned
 from edream.diagnosis.left_out import (
     HALF,
     bootstrap,
@@ -23,13 +24,11 @@ from edream.diagnosis.left_out import (
 )
 from edream.diagnosis.problem import Problem
 from edream.diagnosis.screen import (
-    ENOUGH,
     Scored,
     acts_already,
     extend,
     fits_beside,
     lightened,
-    thinned,
     unexplained_by,
     with_quantities,
 )

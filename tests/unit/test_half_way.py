@@ -58,7 +58,7 @@ def test_what_gains_in_the_fit_goes_on_where_motions_left_out_are_sure_of_none(m
     monkeypatch.setattr(decide, "passes", lambda problem, one: one.sure)
     monkeypatch.setattr(decide, "descend", lambda begun, fresh, iterations: replace(begun, rms=0.5))
     monkeypatch.setattr(decide, "judged", lambda problem, end, errors, one: replace(one, fit=end, closed=0.8, sure=True))
-    problem = SimpleNamespace(floor=0.1, settings=SimpleNamespace(gain=0.1, threads=1))
+    problem = SimpleNamespace(floor=0.1, shared=(), settings=SimpleNamespace(gain=0.1, threads=1))
     before, tried = FitOf("before", 2.0), [trial("spring", 1.99, 0.05), trial("delay", 1.7, -0.18)]
     found = decide.settled(problem, before, np.ones(4), tried)
     assert [(one.candidate.effect, one.closed, one.sure) for one in found] == [("delay", 0.8, True), ("spring", 0.05, False)]

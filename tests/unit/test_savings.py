@@ -9,9 +9,10 @@ import pytest
 from edream.diagnosis import decide, left_out, next_motion, screen
 from edream.diagnosis.candidates import Candidate
 from edream.diagnosis.descent import Fit, descend
+from edream.diagnosis.few import thinned
 from edream.diagnosis.next_motion import GLANCED, SECONDS, suggest
 from edream.diagnosis.problem import Problem
-from edream.diagnosis.screen import Scored, confirm, thinned, with_scan
+from edream.diagnosis.screen import Scored, confirm, with_scan
 from edream.diagnosis.set_up import other_set_ups
 from edream.diagnosis.trials import Trial
 from edream.sim.objective import Objective

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from edream.core.parameters import targets_in
-from edream.diagnosis import candidates, decide, left_out, trials, verdict
+from edream.diagnosis import candidates, decide, ends, left_out, trials, verdict
 from edream.diagnosis.candidates import Candidate, placement
 from edream.diagnosis.nuisance import fit_nuisance
 from edream.diagnosis.problem import Settings, prepare
@@ -179,9 +179,9 @@ def test_rivals_go_to_the_end_of_their_valleys_where_the_best_leaves_a_gap(
     monkeypatch.setattr(decide, "passes", lambda problem, t: True)
     monkeypatch.setattr(decide, "worth", lambda objective, residual: 1.0)
     monkeypatch.setattr(decide, "descend", lambda fit, fresh, iterations: fit)
-    monkeypatch.setattr(decide, "polish", lambda fit: ended.append(fit.name) or replace(fit, rms=end))
+    monkeypatch.setattr(ends, "polish", lambda fit: ended.append(fit.name) or replace(fit, rms=end))
     monkeypatch.setattr(decide, "judged", lambda problem, fit, errors, t: replace(t, fit=fit, closed=1.0 / fit.rms))
-    problem = SimpleNamespace(floor=1.0, settings=SimpleNamespace(gain=0.1, threads=1))
+    problem = SimpleNamespace(floor=1.0, shared=(), settings=SimpleNamespace(gain=0.1, threads=1))
     trials_ = [trial("delay", 0.8), trial("lag", 0.5), trial("spring", 0.3)]
     found = decide.settled(problem, FitOf("before", 2.0), np.zeros(4), trials_)
     assert ended == polished and len(found) == 3
@@ -200,7 +200,7 @@ def test_the_best_goes_on_where_half_way_there_it_is_not_sure_yet(monkeypatch: p
     monkeypatch.setattr(decide, "worth", lambda objective, residual: 1.0)
     monkeypatch.setattr(decide, "descend", lambda fit, fresh, iterations: replace(fit, rms=1.0))
     monkeypatch.setattr(decide, "judged", lambda problem, fit, errors, t: replace(t, fit=fit, closed=1.0, sure=True))
-    problem = SimpleNamespace(floor=1.0, settings=SimpleNamespace(gain=0.1, threads=1))
+    problem = SimpleNamespace(floor=1.0, shared=(), settings=SimpleNamespace(gain=0.1, threads=1))
     found = decide.settled(problem, FitOf("before", 2.0), np.zeros(4), [best, behind])
     assert [(t.candidate.effect, t.sure, t.closed) for t in found] == [("dead_zone", True, 1.0), ("lag", False, 0.35)]
 

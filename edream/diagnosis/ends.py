@@ -1,0 +1,41 @@
+"""Ends of candidates' searches: down to the end of a valley, and from a second side where it may be a false one."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from edream.diagnosis.candidates import Candidate, acted_on
+from edream.diagnosis.descent import Fit, begin, descend, polish
+from edream.diagnosis.left_out import leaves_no_gap
+from edream.diagnosis.problem import Problem
+from edream.diagnosis.side_by_side import side_by_side
+from edream.diagnosis.starts import as_published
+from edream.diagnosis.trials import SHAPED, SHAPES
+
+
+def begun_again(problem: Problem, fits: Sequence[Fit], candidates: Sequence[Candidate]) -> list[Fit]:
+    """The fits, the nearest of those that leave a gap also from where their effect stands beside published numbers of its joints.
+
+    Where servos reach their limits, those that made up for it on the way may stand in a false valley that no descent leaves.
+    """
+
+    def again(number: int) -> Fit:
+        fit, joints = fits[number], acted_on(candidates[number])
+        if number not in nearest or not joints:
+            return fit
+        start = fit.space.to_unit(as_published(problem, fit.space.names, fit.values, joints))
+        return min(fit, descend(begin(fit.objective, np.clip(start, 0.0, 1.0)), None, 8), key=lambda one: one.rms)
+
+    order = np.argsort([fit.rms for fit in fits], kind="stable").tolist()
+    nearest = [number for number in order if not leaves_no_gap(problem, fits[number])][:SHAPES]
+    return list(side_by_side(again, range(len(fits)), problem.settings.threads))
+
+
+def to_their_ends(problem: Problem, fits: Sequence[Fit]) -> list[Fit]:
+    """The fits, the nearest ones gone down to the end of their valleys; once one leaves no gap, only those that are near it."""
+    found, arrived_one = list(fits), False
+    for number in np.argsort([fit.rms for fit in fits], kind="stable")[:SHAPES].tolist():
+        if not arrived_one or fits[number].rms <= SHAPED * problem.floor:
+            found[number] = polish(fits[number])
+            arrived_one |= leaves_no_gap(problem, found[number])
+    return found
