@@ -326,12 +326,12 @@ def _on(targets: Sequence[str], joints: Sequence[str]) -> str:
 
 
 def _short(rival: str, one: Named) -> str:
-    """A rival's label: by its name where it acts where the effect does, and by the joints it leaves out where those are fewer."""
+    """A rival in words: its name alone where it acts where the effect does, and the joints it leaves out where those are fewer."""
     name, _, place = rival.partition("[")
     theirs = place.removesuffix("]").split("+") if place else []
     left = [joint for joint in one.targets if joint not in theirs]
     if not theirs or not set(theirs) <= set(one.targets) or len(left) >= len(theirs):
-        return rival
+        return f"{name} on {_and(theirs)}" if theirs else rival
     return f"{name} without {_and(left)}" if left else name
 
 

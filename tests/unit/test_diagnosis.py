@@ -14,6 +14,7 @@ from edream.diagnosis.backward import refitted_without, stands
 from edream.diagnosis.candidates import Candidate, alike, groups_of, placement
 from edream.diagnosis.decide import comes_down_to, rivals, simplest, told_apart
 from edream.diagnosis.descent import Fit, begin, descend
+from edream.diagnosis.few import representative, thinned
 from edream.diagnosis.left_out import falls_short, left_out_errors
 from edream.diagnosis.naming import Named, is_strange
 from edream.diagnosis.nuisance import fit_nuisance, published
@@ -26,9 +27,7 @@ from edream.diagnosis.screen import (
     extend,
     finalists,
     fits_beside,
-    representative,
     screen,
-    thinned,
     with_quantities,
     worthwhile,
 )
@@ -166,9 +165,9 @@ def test_the_sentence_says_all_joints_rather_than_their_names() -> None:
     one = Named("load_friction", "load-dependent friction", joints, {}, {}, {}, 0.5, None, ("stribeck[a+b+c]", "cogging[a]"))
     said = sentence("cannot_tell", [one], None, joints)
     assert "load-dependent friction on all 3 joints" in said
-    assert "load_friction may be stribeck or cogging[a]" in said
+    assert "load_friction may be stribeck or cogging on a" in said
     most = replace(one, confusable_with=("stribeck[a+c]", "cogging[a+d]", "gravity_tilt"))
-    assert "may be stribeck without b or cogging[a+d] or gravity_tilt." in sentence("cannot_tell", [most], None, joints)
+    assert "may be stribeck without b or cogging on a and d or gravity_tilt." in sentence("cannot_tell", [most], None, joints)
     assert "on a and b" in sentence("named", [replace(one, targets=("a", "b"))], None, joints)
     twice = [replace(one, targets=(joint,)) for joint in ("a", "c")]
     assert sentence("named", twice, None, joints) == "Your simulator lacks load-dependent friction on a and c."
