@@ -171,11 +171,15 @@ def settled(problem: Problem, fit: Fit, errors: Float[np.ndarray, "M"], trials: 
 
     Where the best leaves a gap that can be seen, those further behind as well, and the first of them to the end of their valleys:
     where one is all but flat (a lag beside damping and inertia) steps have become small long before. The best goes on although it
-    is not sure yet: half-way there it may have made one motion worse. So do, where none is sure, those that gain in the fit.
+    is not sure yet: half-way there it may have made one motion worse. So do those that gain in the fit, where none is sure, or
+    servos reach their limits: numbers in a false valley may be all that they lack.
     """
     most = max((t.closed for t in trials), default=0.0)
     worth_it = [t for t in trials if t.sure or t.closed >= max(problem.settings.gain, most)]
-    gaining = [] if worth_it else sorted((t for t in trials if closes_more(problem, fit, t.fit)), key=lambda t: t.fit.rms)
+    doubted = (
+        [] if worth_it and not problem.shared else [t for t in trials if t not in worth_it and closes_more(problem, fit, t.fit)]
+    )
+    gaining = sorted(doubted, key=lambda t: t.fit.rms)
     leads = next(iter(worth_it or gaining), None)
     short = leads is not None and is_brief(leads.fit) and not leaves_no_gap(problem, leads.fit)
     best = [t for t in worth_it if t.closed >= (BEHIND if short else NEAR) * most][:RIVALS] + gaining[:SHAPES]

@@ -6,29 +6,38 @@ import numpy as np
 
 from edream.diagnosis.candidates import Candidate, acted_on
 from edream.diagnosis.descent import Fit, begin, descend, polish
-from edream.diagnosis.left_out import leaves_no_gap
-from edream.diagnosis.problem import Problem
+from edream.diagnosis.left_out import joint_errors, leaves_no_gap
+from edream.diagnosis.problem import VISIBLE, Problem
 from edream.diagnosis.side_by_side import side_by_side
 from edream.diagnosis.starts import as_published
 from edream.diagnosis.trials import SHAPED, SHAPES
 
 
 def begun_again(problem: Problem, fits: Sequence[Fit], candidates: Sequence[Candidate]) -> list[Fit]:
-    """The fits, the nearest of those that leave a gap also from where their effect stands beside published numbers of its joints.
+    """The fits, the nearest of those that leave their joints off also from where their effect stands beside published numbers.
 
     Where servos reach their limits, those that made up for it on the way may stand in a false valley that no descent leaves.
     """
 
     def again(number: int) -> Fit:
         fit, joints = fits[number], acted_on(candidates[number])
-        if number not in nearest or not joints:
+        if number not in nearest:
             return fit
         start = fit.space.to_unit(as_published(problem, fit.space.names, fit.values, joints))
         return min(fit, descend(begin(fit.objective, np.clip(start, 0.0, 1.0)), None, 8), key=lambda one: one.rms)
 
     order = np.argsort([fit.rms for fit in fits], kind="stable").tolist()
-    nearest = [number for number in order if not leaves_no_gap(problem, fits[number])][:SHAPES]
+    left = [
+        off_on(problem, fit, acted_on(one)) > (1.0 + VISIBLE) * problem.floor for fit, one in zip(fits, candidates, strict=True)
+    ]
+    nearest = [number for number in order if left[number]][:SHAPES]
     return list(side_by_side(again, range(len(fits)), problem.settings.threads))
+
+
+def off_on(problem: Problem, fit: Fit, joints: frozenset[str]) -> float:
+    """The largest error of some joints [rad]; 0 of none."""
+    errors = zip(problem.joints, joint_errors(problem, fit), strict=True)
+    return max((float(error) for joint, error in errors if joint in joints), default=0.0)
 
 
 def to_their_ends(problem: Problem, fits: Sequence[Fit]) -> list[Fit]:

@@ -30,15 +30,16 @@ def bold_starts(
 
 
 def beside_published(
-    problem: Problem, place: Placement, extended: Objective, absent: Float[np.ndarray, "P"]
+    problem: Problem, place: Placement, extended: Objective, absent: Float[np.ndarray, "P"], strong: bool = False
 ) -> list[Float[np.ndarray, "P"]]:
     """Every probe of a candidate, its joints' usual numbers as published; all joints', where it acts on none.
 
-    Those that were fitted without it may have gone far to make up for it.
+    Those that were fitted without it may have gone far to make up for it. `strong` ones beside the small ones where asked for.
     """
     joints = acted_on(Candidate(place.effect.name, tuple(place.targets)))
     believed = as_published(problem, extended.simulated.space.names, absent, joints)
-    return [with_quantities(extended, believed, [place], [one]) for one in probes_of(problem, place)]
+    probes = [*probes_of(problem, place), *(strong_probes(problem, place) if strong else ())]
+    return [with_quantities(extended, believed, [place], [one]) for one in probes]
 
 
 def as_published(

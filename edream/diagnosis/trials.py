@@ -43,6 +43,7 @@ from edream.diagnosis.starts import (
     with_column,
 )
 from edream.diagnosis.steps import with_long_steps
+from edream.diagnosis.valleys import groups_off
 from edream.sim.least_squares import worth
 from edream.sim.objective import Objective, rms
 
@@ -52,6 +53,7 @@ HOPELESS = 0.4  # of the best candidate's gain after two steps: those below are 
 SERIOUS_SHARE = 0.01
 ARRIVING = 6  # steps from published numbers, which may be far away, for a candidate to show what it can
 NEARLY = 0.9  # of the squared gap above the floor: what is left asks for no search of every effect
+NEAREST = 5  # beside published numbers, where servos reach their limits: they are gone down from there
 UNLIKELY = 0.3  # of the largest share by the score test: those below wait, and are not refitted where another closes nearly all
 TOLD = 0.02  # of the squared error: what a candidate's search gains less by does not change what it is worth beside others
 SHAPED = 1.5  # floors of error from which a winner is tried in its other shapes
@@ -109,12 +111,14 @@ def try_best(
         for near, one in zip(side_by_side(lambda one: refitted(problem, few, one, iterations=2), some, threads), some, strict=True):
             begun.append((near, one))
             done(1)
-    begun.sort(key=lambda pair: pair[0].rms)
+    off = groups_off(problem, fit)
+    begun = sorted([*begun, *begun_beside_published(problem, few, off)], key=lambda pair: pair[0].rms)
+    begun = [pair for i, pair in enumerate(begun) if pair[1].candidate not in [one.candidate for _, one in begun[:i]]]
     gained = [1.0 - (near.rms / few.rms) ** 2 for near, _ in begun]
     hopeful = [pair for pair, gain in zip(begun, gained, strict=True) if gain >= HOPELESS * gained[0]][:FINISHED]
     # what the score test says most for may only begin slowly: a payload has four numbers, beside some that have made up for it
-    hopeful += [pair for pair in begun if pair[1] is scored[0] and pair not in hopeful]
-    astray = led_astray(problem, fit)
+    hopeful += [pair for pair in begun if pair[1].candidate == scored[0].candidate and pair not in hopeful]
+    astray = bool(off) or led_astray(problem, fit)
 
     def finished(pair: tuple[Fit, Scored]) -> Trial:
         near, one = pair
@@ -198,16 +202,42 @@ def on_stretches(problem: Problem, fit: Fit) -> Fit:
     return begin(with_long_steps(problem, there).objective, fit.unit)
 
 
+def begun_beside_published(problem: Problem, fit: Fit, groups: Sequence[tuple[str, ...]]) -> list[tuple[Fit, Scored]]:
+    """What is nearest to the motions beside published numbers, gone down from there, on the group that is off most.
+
+    Where servos reach their limits, numbers in a false valley that made up for what is missing tell the score test nothing.
+    """
+    there = [group for group in groups if worst_joint(problem, fit) in group]
+    places = placed_at(problem, fit, there[0], library(problem)) if there else []
+
+    def gone_down(start: Float[np.ndarray, "P"], one: Scored) -> Fit:
+        extended, _ = extend(fit, [placement(problem, one.candidate)])
+        return descend_beside_published(fit, extended, start, one.candidate, ARRIVING)
+
+    nearest = near_published(problem, fit, places, strong=True)[:NEAREST]
+    ends = side_by_side(lambda found: gone_down(*found[1:]), nearest, problem.settings.threads)
+    return [(near, one) for near, (_, _, one) in zip(ends, nearest, strict=True)]
+
+
 def nearer_beside_published(problem: Problem, fit: Fit, places: Sequence[Scored]) -> list[Scored]:
     """The candidates that are nearer to the motions than the fit is, small beside the published numbers; nearest first."""
+    return [one for error, _, one in near_published(problem, fit, places) if error < fit.rms][:LIKELIEST]
 
-    def away(one: Scored) -> float:
+
+def near_published(
+    problem: Problem, fit: Fit, places: Sequence[Scored], strong: bool = False
+) -> list[tuple[float, Float[np.ndarray, "P"], Scored]]:
+    """Candidates, each with the nearest of its probes beside the published numbers and its error [rad]; nearest first."""
+
+    def nearest(one: Scored) -> tuple[float, Float[np.ndarray, "P"], Scored]:
         place = placement(problem, one.candidate)
         extended, absent = extend(fit, [place])
-        return min(rms(r) for r in extended.residuals(np.array(beside_published(problem, place, extended, absent))))
+        starts = np.array(beside_published(problem, place, extended, absent, strong))
+        errors = [rms(r) for r in extended.residuals(starts)]
+        best = int(np.argmin(errors))
+        return errors[best], starts[best], one
 
-    found = list(zip(side_by_side(away, places, problem.settings.threads), places, strict=True))
-    return [one for error, one in sorted(found, key=lambda pair: pair[0]) if error < fit.rms][:LIKELIEST]
+    return sorted(side_by_side(nearest, places, problem.settings.threads), key=lambda found: found[0])
 
 
 def with_bold(

@@ -12,6 +12,8 @@ from edream.core.parameters import Parameter
 from edream.sim.scales import largest, strongest
 from edream.sim.servo import damping_inside, share_damping
 
+FREE = 200.0  # rad/s: of a motor whose torque does not fall at any speed of an arm
+
 
 def torque_speed_limit(state: State, index: dict[str, int], values: dict[str, Any]) -> None:
     """The motor's torque is limited by a line from stall torque to no-load speed."""
@@ -38,13 +40,14 @@ class TorqueSpeedLimit(Effect):
     confusable = ("torque_limit", "quadratic_drag", "slew_limit")
     hook = staticmethod(torque_speed_limit)
     late = 2
+    special = ("torque_limit", "speed", FREE)
 
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
         # twice the servo's own limit, so that at the top of the box the line stays above it at any speed of an arm
         stall = 2.0 * max(strongest(model, target) for target in targets)
         return (
             Parameter("stall", "N m", min(0.05 * largest(model, targets), 0.5 * stall), stall, stall, absent=stall, scale="log"),
-            Parameter("speed", "rad/s", 0.2, 200.0, 200.0, absent=200.0, scale="log"),
+            Parameter("speed", "rad/s", 0.2, FREE, FREE, absent=FREE, scale="log"),
             damping_inside(model, targets),
         )
 

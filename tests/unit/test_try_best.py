@@ -89,6 +89,7 @@ def test_unlikely_candidates_wait_and_are_not_refitted_where_another_closes_near
     told = {
         "far_off": lambda problem, fit: False,
         "led_astray": lambda problem, fit: False,
+        "groups_off": lambda problem, fit: [],
         "on_few": lambda problem, fit: fit,
         "refitted": refitted,
         "gone_on": lambda fit, near, joints: near,
@@ -103,3 +104,48 @@ def test_unlikely_candidates_wait_and_are_not_refitted_where_another_closes_near
     assert asked == heard and best[0].candidate.effect == "payload"
     # the likeliest by the score test is refitted to its end though its first steps gained little
     assert {t.candidate.effect for t in best} == {"payload", "spring"}
+
+
+def test_where_servos_at_their_limit_leave_a_joint_off_what_is_nearest_beside_published_numbers_is_heard_too(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Beside numbers that had made up for a motor of half its torque the score test spoke for a coupling, then a ripple."""
+    away = {"torque_limit": 0.5, "spring": 0.7, "coulomb": 0.9, "payload": 2.0}
+    ends = {"torque_limit": 0.3, "spring": 0.6, "coulomb": 0.7, "cogging": 0.8, "payload": 0.95}
+    steps: dict[str, object] = {}
+
+    def fitted(name: str) -> SimpleNamespace:
+        return SimpleNamespace(rms=ends[name], unit=np.zeros(1))
+
+    def gone_on(fit: object, near: SimpleNamespace, joints: frozenset[str]) -> SimpleNamespace:
+        assert joints == {"tilt"}, "the joint's own numbers are differenced anew"
+        return near
+
+    told = {
+        "far_off": lambda problem, fit: False,
+        "led_astray": lambda problem, fit: False,
+        "groups_off": lambda problem, fit: [("pan",), ("tilt",)],
+        "worst_joint": lambda problem, fit: "tilt",
+        "library": lambda problem: list(away),
+        "placed_at": lambda problem, fit, targets, effects: [Scored(Candidate(name, targets), {}, 0.0) for name in effects],
+        "placement": lambda problem, candidate: candidate,
+        "extend": lambda fit, places: (
+            SimpleNamespace(residuals=lambda sets: [np.full(4, away[places[0].effect])] * len(sets)),
+            None,
+        ),
+        "beside_published": lambda problem, place, extended, absent, strong: [np.zeros(1), np.ones(1)],
+        "descend_beside_published": lambda fit, extended, start, candidate, most: (
+            steps.update({candidate.effect: most}) or fitted(candidate.effect)
+        ),
+        "on_few": lambda problem, fit: fit,
+        "refitted": lambda problem, few, one, iterations: fitted(one.candidate.effect),
+        "gone_on": gone_on,
+        "judged": lambda problem, fit, errors, one: _trial(one.candidate.effect, 1.0 - fit.rms),
+    }
+    for name, stand_in in told.items():
+        monkeypatch.setattr(trials, name, stand_in)
+    problem = SimpleNamespace(floor=0.1, settings=SimpleNamespace(threads=1))
+    scored = [Scored(Candidate(name, ("tilt",)), {}, share) for name, share in (("cogging", 0.5), ("spring", 0.45))]
+    found = trials.try_best(problem, SimpleNamespace(rms=1.0), np.zeros(4), scored)
+    assert [t.candidate.effect for t in found] == ["torque_limit", "spring", "coulomb", "cogging"], "each once, best first"
+    assert set(steps) == set(away) and set(steps.values()) == {trials.ARRIVING}

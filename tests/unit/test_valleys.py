@@ -102,3 +102,5 @@ def test_a_candidate_that_leaves_a_gap_begins_again_beside_published_numbers_and
     assert found[0].rms == pytest.approx(good.rms) and found[1] is good, "what leaves no gap stays"
     assert found[2] is worse, "what acts on no joint has no published numbers to begin beside"
     assert len(begun) == 1
+    there = problem(("pan",))
+    assert ends.off_on(there, stuck, frozenset({"pan"})) > 3.0 > 0.5 > ends.off_on(there, stuck, frozenset({"tilt"}))
