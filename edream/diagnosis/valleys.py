@@ -56,6 +56,8 @@ def elsewhere(problem: Problem, fit: Fit, groups: Sequence[tuple[str, ...]]) -> 
     Every group has a population of its own, on a few motions that stand for all; all are simulated at once, since joints hardly
     matter to each other.
     """
+    if not groups:
+        return None
     few, rng = thinned(fit, ENOUGH), np.random.default_rng([problem.settings.seed, 19])
     searches = [_Search(few, group, rng) for group in groups]
     for generation in range(GENERATIONS):
@@ -64,7 +66,7 @@ def elsewhere(problem: Problem, fit: Fit, groups: Sequence[tuple[str, ...]]) -> 
         units = np.tile(fit.unit, (POPULATION, 1))
         for search in searches:
             units[:, search.own] = search.asked()
-        residuals = few.objective.residuals(fit.space.from_unit(units)) if searches else units
+        residuals = few.objective.residuals(fit.space.from_unit(units))
         for search in searches:
             search.told(units, residuals)
     out = fit.unit.copy()
