@@ -225,9 +225,13 @@ def simplified(problem: Problem, fit: Fit, errors: Float[np.ndarray, "M"], trial
         return list(trials)  # it is in the model already
     if any(t.candidate == plain and passes(problem, t) and t.closed >= AS_WELL * best.closed for t in trials):
         return list(trials)  # it does as well from where it began
-    extended, _ = extend(fit, [placement(problem, plain)])
+    place = placement(problem, plain)
+    extended, _ = extend(fit, [place])
     space, ended = extended.simulated.space, best.fit.space.mapping(best.fit.values)
     found = {name.replace(best.candidate.effect, plain.effect, 1): value for name, value in ended.items()}
+    strengths = [p.name for p in place.effect.parameters(problem.robot.model, place.targets) if p.absent is not None]
+    if found.keys().isdisjoint(map(place.full_name, strengths)):
+        return list(trials)  # its strength has another name: there is no place to begin at
     start = space.to_unit(np.array([found.get(p.name, p.start) for p in space.parameters]))
     end = descend(begin(extended, np.clip(start, 0.0, 1.0)), None, 4)
     trial = judged(problem, end, errors, replace(best, candidate=plain))

@@ -117,7 +117,8 @@ def try_best(
     gained = [1.0 - (near.rms / few.rms) ** 2 for near, _ in begun]
     hopeful = [pair for pair, gain in zip(begun, gained, strict=True) if gain >= HOPELESS * gained[0]][:FINISHED]
     # what the score test says most for may only begin slowly: a payload has four numbers, beside some that have made up for it
-    hopeful += [pair for pair in begun if pair[1].candidate == scored[0].candidate and pair not in hopeful]
+    likeliest = [one.candidate for one in scored[:1]]
+    hopeful += [pair for pair in begun if pair[1].candidate in likeliest and pair not in hopeful]
     astray = bool(off) or led_astray(problem, fit)
 
     def finished(pair: tuple[Fit, Scored]) -> Trial:

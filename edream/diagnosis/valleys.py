@@ -30,7 +30,7 @@ def out_of_false_valleys(problem: Problem, fit: Fit) -> Fit:
         fit: the end of a descent; stays as it is where neither it nor one of these joints leaves a gap.
     """
     for _ in range(ROUNDS):
-        place = elsewhere(problem, fit, groups_off(problem, fit))
+        place = better_place(problem, fit, groups_off(problem, fit))
         found = fit if place is None else descend(begin(fit.objective, place), None, iterations=8)
         if found.rms >= fit.rms:
             break
@@ -50,7 +50,7 @@ def groups_off(problem: Problem, fit: Fit) -> list[tuple[str, ...]]:
     return [group for group, error in most.items() if error > (1.0 + VISIBLE) * problem.floor]
 
 
-def elsewhere(problem: Problem, fit: Fit, groups: Sequence[tuple[str, ...]]) -> Float[np.ndarray, "P"] | None:
+def better_place(problem: Problem, fit: Fit, groups: Sequence[tuple[str, ...]]) -> Float[np.ndarray, "P"] | None:
     """The unit-box numbers with those of some groups where their joints' error is clearly less, (P,); None if it is nowhere.
 
     Every group has a population of its own, on a few motions that stand for all; all are simulated at once, since joints hardly

@@ -36,9 +36,10 @@ class Followers:
         return [self.model.joint(j).name for j in sorted({int(self.model.dof_jntid[dof]) for dof in moved})]
 
     def place(self, qpos: Float[np.ndarray, "Q"], qvel: Float[np.ndarray, "V"] | None = None) -> None:
-        """Write the positions of the joints that follow, and their speeds; those that are shown stay.
+        """Write the positions of the joints that follow [rad or m], and their speeds [rad/s or m/s]; those that are shown stay.
 
-        Gauss-Newton from where they are; where equalities cannot all be met, as near as may be.
+        Gauss-Newton from where they are; where equalities cannot all be met, as near as may be. Source: the positions and Jacobians
+        of constraints, MuJoCo documentation, Computation, "Equality".
         """
         if not self.joints:
             return

@@ -87,6 +87,7 @@ def test_a_gripper_whose_fingers_keep_apart_is_clear() -> None:
     assert not never_touches(GRIPPER, [closed])
 
 
+@pytest.mark.usefixtures("rendering")
 def test_a_picture_shows_the_finger_that_follows() -> None:
     eye = np.array([0.8, 0.0, 0.0])
     camera = Camera(48, 48, np.array([[48.0, 0, 24], [0, 48.0, 24], [0, 0, 1]]), looking_at(eye, np.zeros(3)))

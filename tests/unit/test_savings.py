@@ -88,6 +88,16 @@ def test_a_special_case_that_stands_as_well_is_not_begun_again(
     assert simulated == []
 
 
+def test_a_special_case_whose_strength_has_another_name_is_not_begun_from_nothing(
+    monkeypatch: pytest.MonkeyPatch, problem: Problem, fit: Fit, simulated: list[int]
+) -> None:
+    monkeypatch.setattr(decide, "passes", lambda problem, trial: True)
+    monkeypatch.setattr(decide, "judged", lambda *told: pytest.fail("it has no place to begin at"))
+    best = Trial(Candidate("torque_speed_limit", ("tilt",)), 0.0, fit, np.zeros(4), 0.9, True)
+    assert decide.simplified(problem, fit, np.zeros(4), [best]) == [best]
+    assert simulated == []
+
+
 def test_motions_left_out_need_no_simulation_where_the_fit_is(
     monkeypatch: pytest.MonkeyPatch, problem: Problem, fit: Fit, simulated: list[int]
 ) -> None:

@@ -15,7 +15,7 @@ from edream.diagnosis.naming import is_own_damping_strange, own_damping, strange
 from edream.diagnosis.nuisance import fit_nuisance, with_shares
 from edream.diagnosis.problem import Problem, Settings, prepare
 from edream.diagnosis.steps import with_short_steps
-from edream.diagnosis.valleys import elsewhere, out_of_false_valleys
+from edream.diagnosis.valleys import better_place, out_of_false_valleys
 from edream.reality.recorder import Recorder, make_recordings
 from edream.reality.truth import Truth, draw
 from edream.sim.beginning import all_or_nothing
@@ -148,7 +148,7 @@ def test_stiff_servos_at_their_limit_are_led_out_of_a_false_valley(tmp_path: Pat
     assert stuck.rms > 4.0 * problem.floor, "the plain descent must end in a false valley"
     assert fit.rms < 0.5 * stuck.rms
     assert out_of_false_valleys(problem, stuck) is stuck, "no group of these is said to reach its limit"
-    place = elsewhere(shared, stuck, [("tilt",)])
+    place = better_place(shared, stuck, [("tilt",)])
     assert place is None or all("tilt" in stuck.space.names[k] for k in np.flatnonzero(place != stuck.unit))
 
 

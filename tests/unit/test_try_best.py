@@ -149,3 +149,7 @@ def test_where_servos_at_their_limit_leave_a_joint_off_what_is_nearest_beside_pu
     found = trials.try_best(problem, SimpleNamespace(rms=1.0), np.zeros(4), scored)
     assert [t.candidate.effect for t in found] == ["torque_limit", "spring", "coulomb", "cogging"], "each once, best first"
     assert set(steps) == set(away) and set(steps.values()) == {trials.ARRIVING}
+    alone = trials.try_best(problem, SimpleNamespace(rms=1.0), np.zeros(4), [])
+    assert [t.candidate.effect for t in alone][:3] == ["torque_limit", "spring", "coulomb"], (
+        "also where the score test says nothing"
+    )

@@ -12,7 +12,7 @@ from edream.diagnosis import ends, valleys
 from edream.diagnosis.candidates import Candidate
 from edream.diagnosis.descent import Fit
 from edream.diagnosis.problem import Problem
-from edream.diagnosis.valleys import elsewhere, groups_off, out_of_false_valleys
+from edream.diagnosis.valleys import better_place, groups_off, out_of_false_valleys
 
 FLOOR = 1.0
 TRUE = {"pan": np.array([0.62, 0.35]), "tilt": np.array([0.5, 0.5])}
@@ -65,11 +65,11 @@ def all_motions(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_joint_that_is_off_is_led_through_the_ripples_and_the_other_stays() -> None:
     stuck = fit_at([0.5, 0.5, 0.5, 0.5])
     assert groups_off(problem(("pan",), ("tilt",)), stuck) == [("pan",)]
-    place = elsewhere(problem(("pan",), ("tilt",)), stuck, [("pan",)])
+    place = better_place(problem(("pan",), ("tilt",)), stuck, [("pan",)])
     assert place is not None
     np.testing.assert_array_equal(place[2:], stuck.unit[2:])
     assert np.abs(place[:2] - TRUE["pan"]).max() < 0.03
-    again = elsewhere(problem(("pan",), ("tilt",)), stuck, [("pan",)])
+    again = better_place(problem(("pan",), ("tilt",)), stuck, [("pan",)])
     np.testing.assert_array_equal(place, again)
 
 
@@ -77,7 +77,7 @@ def test_only_servos_at_their_limit_and_joints_that_are_off_are_searched() -> No
     stuck, there = fit_at([0.5, 0.5, 0.5, 0.5]), fit_at([0.62, 0.35, 0.5, 0.5])
     assert groups_off(problem(), stuck) == groups_off(problem(("tilt",)), stuck) == []
     assert groups_off(problem(("pan",), ("tilt",)), there) == []
-    assert elsewhere(problem(("pan",)), there, [("pan",)]) is None, "there is no better place"
+    assert better_place(problem(("pan",)), there, [("pan",)]) is None, "there is no better place"
     assert out_of_false_valleys(problem(), stuck) is stuck
 
 
