@@ -17,6 +17,7 @@ from edream.diagnosis.problem import Problem, nuisance_placements
 from edream.diagnosis.screen import Scored, screen
 from edream.diagnosis.side_by_side import side_by_side
 from edream.diagnosis.trials import Trial, is_usual, judged, placed_at, refit
+from edream.sim.objective import Objective
 from edream.sim.simulation import SimulatedRobot
 
 EVIDENCE = 4.0  # by how much the cost (-2 log posterior) must fall
@@ -193,8 +194,15 @@ def with_ordinary_numbers(problem: Problem, fit: Fit) -> Fit:
                 own["start"] = float(np.clip(own.get("start", parameter.start), own["low"], own["high"]))
         placements.append(replace(place, bounds=bounds))
     boxed = replace(fit.objective, simulated=SimulatedRobot(problem.robot, tuple(placements)), simulations=0)
-    found = descend(begin(boxed, np.clip(boxed.simulated.space.to_unit(fit.values), 0.0, 1.0)), None)
-    return begin(fit.objective, np.clip(fit.space.to_unit(found.values), 0.0, 1.0))
+    return freed(descend(begin(boxed, np.clip(boxed.simulated.space.to_unit(fit.values), 0.0, 1.0)), None), fit.objective)
+
+
+def freed(fit: Fit, objective: Objective) -> Fit:
+    """A fit found in narrower bounds as one in those of `objective`: the same place and the same slopes, in other units."""
+    space, corners = objective.simulated.space, np.array([np.zeros(len(fit.unit)), np.ones(len(fit.unit))])
+    widths = np.diff(space.to_unit(fit.space.from_unit(corners)), axis=0)[0]
+    unit = np.clip(space.to_unit(fit.values), 0.0, 1.0)
+    return replace(fit, objective=objective, unit=unit, jacobian=fit.jacobian / widths, ended=False)
 
 
 def brought_home(problem: Problem, fit: Fit) -> Fit:

@@ -54,6 +54,7 @@ SERIOUS_SHARE = 0.01
 ARRIVING = 6  # steps from published numbers, which may be far away, for a candidate to show what it can
 NEARLY = 0.9  # of the squared gap above the floor: what is left asks for no search of every effect
 NEAREST = 5  # beside published numbers, where servos reach their limits: they are gone down from there
+FARTHER = 2  # of these, beside the first ones of all, to their ends
 UNLIKELY = 0.3  # of the largest share by the score test: those below wait, and are not refitted where another closes nearly all
 TOLD = 0.02  # of the squared error: what a candidate's search gains less by does not change what it is worth beside others
 SHAPED = 1.5  # floors of error from which a winner is tried in its other shapes
@@ -112,10 +113,13 @@ def try_best(
             begun.append((near, one))
             done(1)
     off = groups_off(problem, fit)
-    begun = sorted([*begun, *begun_beside_published(problem, few, off)], key=lambda pair: pair[0].rms)
+    apart = begun_beside_published(problem, few, off)
+    begun = sorted([*begun, *apart], key=lambda pair: pair[0].rms)
     begun = [pair for i, pair in enumerate(begun) if pair[1].candidate not in [one.candidate for _, one in begun[:i]]]
     gained = [1.0 - (near.rms / few.rms) ** 2 for near, _ in begun]
-    hopeful = [pair for pair, gain in zip(begun, gained, strict=True) if gain >= HOPELESS * gained[0]][:FINISHED]
+    able = [pair for pair, gain in zip(begun, gained, strict=True) if gain >= HOPELESS * gained[0]]
+    # those that began where numbers make up for nothing have further to go, and are no worse for that
+    hopeful = able[:FINISHED] + [pair for pair in able[FINISHED:] if pair in apart][:FARTHER]
     # what the score test says most for may only begin slowly: a payload has four numbers, beside some that have made up for it
     likeliest = [one.candidate for one in scored[:1]]
     hopeful += [pair for pair in begun if pair[1].candidate in likeliest and pair not in hopeful]

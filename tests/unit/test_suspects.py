@@ -13,7 +13,7 @@ from edream.core.effect import Effect
 from edream.core.episode import Episode
 from edream.diagnosis import suspects
 from edream.diagnosis.candidates import Candidate
-from edream.diagnosis.descent import begin, polish
+from edream.diagnosis.descent import begin, own_rows, polish
 from edream.diagnosis.left_out import does_better
 from edream.diagnosis.naming import strange_numbers
 from edream.diagnosis.nuisance import fit_nuisance
@@ -90,6 +90,11 @@ def test_numbers_that_are_ordinary_one_and_all_are_preferred_where_they_cost_not
     assert any(one.name == "viscous" for one in strange_numbers(problem, along)), "it must look strange there"
     home = with_ordinary_numbers(problem, along)
     assert home.rms <= along.rms
+    fresh = begin(home.objective, home.unit)
+    np.testing.assert_allclose(home.residual, fresh.residual, atol=1e-9)
+    own = own_rows(fresh.objective, fresh.residual)
+    off = np.linalg.norm(np.where(own, home.jacobian - fresh.jacobian, 0.0), axis=0)
+    assert (off < 0.1 * np.linalg.norm(fresh.jacobian, axis=0)).all(), "slopes in the units of the wider bounds"
     found = home.space.mapping(home.values)
     for name, published in {"servo_gain.kp[pan]": 20.0, "viscous.damping[pan]": 0.62}.items():
         assert ORDINARY[0] * published * (1 - 1e-6) <= found[name] <= ORDINARY[1] * published * (1 + 1e-6)

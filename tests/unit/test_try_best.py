@@ -111,7 +111,8 @@ def test_where_servos_at_their_limit_leave_a_joint_off_what_is_nearest_beside_pu
 ) -> None:
     """Beside numbers that had made up for a motor of half its torque the score test spoke for a coupling, then a ripple."""
     away = {"torque_limit": 0.5, "spring": 0.7, "coulomb": 0.9, "payload": 2.0}
-    ends = {"torque_limit": 0.3, "spring": 0.6, "coulomb": 0.7, "cogging": 0.8, "payload": 0.95}
+    stand_ins = {"joint_coupling": 0.21, "stribeck": 0.22, "presliding": 0.23, "backlash": 0.24, "hardening_spring": 0.25}
+    ends = {"torque_limit": 0.3, "spring": 0.6, "coulomb": 0.7, "cogging": 0.8, "payload": 0.95, **stand_ins}
     steps: dict[str, object] = {}
 
     def fitted(name: str) -> SimpleNamespace:
@@ -152,4 +153,10 @@ def test_where_servos_at_their_limit_leave_a_joint_off_what_is_nearest_beside_pu
     alone = trials.try_best(problem, SimpleNamespace(rms=1.0), np.zeros(4), [])
     assert [t.candidate.effect for t in alone][:3] == ["torque_limit", "spring", "coulomb"], (
         "also where the score test says nothing"
+    )
+    many = trials.try_best(
+        problem, SimpleNamespace(rms=1.0), np.zeros(4), [Scored(Candidate(name, ("tilt",)), {}, 0.5) for name in stand_ins]
+    )
+    assert [t.candidate.effect for t in many] == [*list(stand_ins)[: trials.FINISHED], "torque_limit", "spring"], (
+        "what begins farther away goes to its end, though stand-ins beside numbers that had made up for it are nearer"
     )
