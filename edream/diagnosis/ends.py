@@ -6,7 +6,6 @@ import numpy as np
 
 from edream.diagnosis.candidates import Candidate, acted_on
 from edream.diagnosis.descent import Fit, begin, descend, polish
-from edream.diagnosis.few import ENOUGH, thinned
 from edream.diagnosis.left_out import joint_errors, leaves_no_gap
 from edream.diagnosis.problem import VISIBLE, Problem
 from edream.diagnosis.side_by_side import side_by_side
@@ -17,19 +16,15 @@ from edream.diagnosis.trials import SHAPED, SHAPES
 def begun_again(problem: Problem, fits: Sequence[Fit], candidates: Sequence[Candidate]) -> list[Fit]:
     """The fits, the nearest of those that leave their joints off also from where their effect stands beside published numbers.
 
-    Where servos reach their limits, those that made up for it on the way may stand in a false valley that no descent leaves. On
-    a few motions first: most of them end no lower.
+    Where servos reach their limits, those that made up for it on the way may stand in a false valley that no descent leaves.
     """
 
     def again(number: int) -> Fit:
         fit, joints = fits[number], acted_on(candidates[number])
         if number not in nearest:
             return fit
-        few, start = thinned(fit, ENOUGH), fit.space.to_unit(as_published(problem, fit.space.names, fit.values, joints))
-        near = descend(begin(few.objective, np.clip(start, 0.0, 1.0)), None, 8)
-        if near.rms >= few.rms:
-            return fit
-        return min(fit, descend(begin(fit.objective, near.unit), None, 4), key=lambda one: one.rms)
+        start = fit.space.to_unit(as_published(problem, fit.space.names, fit.values, joints))
+        return min(fit, descend(begin(fit.objective, np.clip(start, 0.0, 1.0)), None, 8), key=lambda one: one.rms)
 
     order = np.argsort([fit.rms for fit in fits], kind="stable").tolist()
     left = [
