@@ -181,3 +181,8 @@ def drive_of(model: mujoco.MjModel, joint: str) -> bytes:
     own = [field[index["actuator"]] for field in fields]
     dof = [field[index["drive"]] for field in (model.dof_damping, model.dof_frictionloss, model.dof_armature)]
     return np.concatenate([*own, dof]).tobytes()
+
+
+def on_links(problem: Problem, joints: frozenset[str], effect: Effect) -> list[Candidate]:
+    """An effect on each link that these joints carry; nothing where it acts on no links."""
+    return [c for one in rounds(problem, [effect]) for c in one if carried_by(problem, c) & joints]

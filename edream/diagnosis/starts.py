@@ -15,7 +15,7 @@ from edream.sim.least_squares import worth
 from edream.sim.objective import Objective
 from edream.sim.simulation import Placement, SimulatedRobot
 
-STRONG = 5.0  # probes
+STRONG, STRONGEST = 5.0, 20.0  # probes
 
 
 def bold_starts(
@@ -30,16 +30,26 @@ def bold_starts(
 
 
 def beside_published(
-    problem: Problem, place: Placement, extended: Objective, absent: Float[np.ndarray, "P"], strong: bool = False
+    problem: Problem, place: Placement, extended: Objective, absent: Float[np.ndarray, "P"]
 ) -> list[Float[np.ndarray, "P"]]:
     """Every probe of a candidate, its joints' usual numbers as published; all joints', where it acts on none.
 
-    Those that were fitted without it may have gone far to make up for it. `strong` ones beside the small ones where asked for.
+    Those that were fitted without it may have gone far to make up for it.
     """
     joints = acted_on(Candidate(place.effect.name, tuple(place.targets)))
     believed = as_published(problem, extended.simulated.space.names, absent, joints)
-    probes = [*probes_of(problem, place), *(strong_probes(problem, place) if strong else ())]
-    return [with_quantities(extended, believed, [place], [one]) for one in probes]
+    return [with_quantities(extended, believed, [place], [one]) for one in probes_of(problem, place)]
+
+
+def in_all_strengths(
+    problem: Problem, place: Placement, extended: Objective, absent: Float[np.ndarray, "P"]
+) -> list[Float[np.ndarray, "P"]]:
+    """Every probe of a candidate, weak to as strong as motors are, beside its joints' usual numbers as fitted and as published."""
+    joints = acted_on(Candidate(place.effect.name, tuple(place.targets)))
+    believed = as_published(problem, extended.simulated.space.names, absent, joints)
+    stronger = [one for strength in (STRONG, STRONGEST) for one in strong_probes(problem, place, strength)]
+    probes = [*probes_of(problem, place), *stronger]
+    return [with_quantities(extended, usual, [place], [one]) for usual in (absent, believed) for one in probes]
 
 
 def as_published(
@@ -60,9 +70,9 @@ def shapes(problem: Problem, place: Placement, start: Mapping[str, float]) -> li
     return [one for i, one in enumerate([dict(start), *others]) if one not in [dict(start), *others][:i]]
 
 
-def strong_probes(problem: Problem, place: Placement) -> list[dict[str, float]]:
+def strong_probes(problem: Problem, place: Placement, strength: float = STRONG) -> list[dict[str, float]]:
     """The probes made strong, inside the box; those that end in the same corner of it count once."""
-    scaled = [scaled_probe(place, problem, probe, STRONG) for probe in probes_of(problem, place)]
+    scaled = [scaled_probe(place, problem, probe, strength) for probe in probes_of(problem, place)]
     return [one for i, one in enumerate(scaled) if one is not None and one not in scaled[:i]]
 
 

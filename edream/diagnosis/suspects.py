@@ -10,7 +10,7 @@ from edream.catalog import load
 from edream.core.effect import Effect
 from edream.core.parameters import targets_in
 from edream.diagnosis.backward import backward
-from edream.diagnosis.candidates import Candidate, acted_on, carried_by, confused_with, library, next_to, rounds
+from edream.diagnosis.candidates import Candidate, acted_on, carried_by, confused_with, library, next_to, on_links
 from edream.diagnosis.descent import Fit, begin, cost, descend, polish
 from edream.diagnosis.left_out import left_out_errors
 from edream.diagnosis.problem import Problem, nuisance_placements
@@ -146,11 +146,6 @@ def elsewhere(problem: Problem, fit: Fit, best: Candidate) -> list[Scored]:
     own = load("effects", best.effect, Effect)
     near = [one for there in next_to(problem, best) for one in placed_at(problem, fit, there.targets, [own])]
     return at_the_end(problem, fit, acted_on(best) | carried_by(problem, best)) + near
-
-
-def on_links(problem: Problem, joints: frozenset[str], effect: Effect) -> list[Candidate]:
-    """An effect on each link that these joints carry; nothing where it acts on no links."""
-    return [c for one in rounds(problem, [effect]) for c in one if carried_by(problem, c) & joints]
 
 
 def relief_by(believing: Fit, fit: Fit) -> float:

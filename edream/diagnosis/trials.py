@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from edream.core.effect import Effect
-from edream.diagnosis.candidates import Candidate, acted_on, library, placement, probes_of, rounds
+from edream.diagnosis.candidates import Candidate, acted_on, library, on_links, placement, probes_of, rounds
 from edream.diagnosis.descent import Fit, begin, descend, stretches
 from edream.diagnosis.few import ENOUGH, thinned
 from edream.diagnosis.left_out import (
@@ -37,6 +37,7 @@ from edream.diagnosis.starts import (
     beside_published,
     bold_starts,
     fresh_columns,
+    in_all_strengths,
     of_joints,
     shapes,
     strong_probes,
@@ -46,6 +47,7 @@ from edream.diagnosis.steps import with_long_steps
 from edream.diagnosis.valleys import groups_off
 from edream.sim.least_squares import worth
 from edream.sim.objective import Objective, rms
+from edream.sim.simulation import Placement
 
 REFITTED, GROUPS, FINISHED = 8, 4, 4
 LIKELIEST = 3  # by the score test: they are refitted on whole motions even where candidates are tried boldly
@@ -53,12 +55,14 @@ HOPELESS = 0.4  # of the best candidate's gain after two steps: those below are 
 SERIOUS_SHARE = 0.01
 ARRIVING = 6  # steps from published numbers, which may be far away, for a candidate to show what it can
 NEARLY = 0.9  # of the squared gap above the floor: what is left asks for no search of every effect
-NEAREST = 5  # beside published numbers, where servos reach their limits: they are gone down from there
+NEAREST = 5  # in some strength, where servos reach their limits: they are gone down from there
 FARTHER = 2  # of these, beside the first ones of all, to their ends
 UNLIKELY = 0.3  # of the largest share by the score test: those below wait, and are not refitted where another closes nearly all
 TOLD = 0.02  # of the squared error: what a candidate's search gains less by does not change what it is worth beside others
 SHAPED = 1.5  # floors of error from which a winner is tried in its other shapes
 SHAPES = 3  # so many of them
+
+Starts = Callable[[Problem, Placement, Objective, Float[np.ndarray, "P"]], list[Float[np.ndarray, "P"]]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,12 +117,12 @@ def try_best(
             begun.append((near, one))
             done(1)
     off = groups_off(problem, fit)
-    apart = begun_beside_published(problem, few, off)
+    apart = begun_in_all_strengths(problem, few, off)
     begun = sorted([*begun, *apart], key=lambda pair: pair[0].rms)
     begun = [pair for i, pair in enumerate(begun) if pair[1].candidate not in [one.candidate for _, one in begun[:i]]]
     gained = [1.0 - (near.rms / few.rms) ** 2 for near, _ in begun]
     able = [pair for pair, gain in zip(begun, gained, strict=True) if gain >= HOPELESS * gained[0]]
-    # those that began where numbers make up for nothing have further to go, and are no worse for that
+    # those that began elsewhere have further to go, and are no worse for that
     hopeful = able[:FINISHED] + [pair for pair in able[FINISHED:] if pair in apart][:FARTHER]
     # what the score test says most for may only begin slowly: a payload has four numbers, beside some that have made up for it
     likeliest = [one.candidate for one in scored[:1]]
@@ -207,37 +211,38 @@ def on_stretches(problem: Problem, fit: Fit) -> Fit:
     return begin(with_long_steps(problem, there).objective, fit.unit)
 
 
-def begun_beside_published(problem: Problem, fit: Fit, groups: Sequence[tuple[str, ...]]) -> list[tuple[Fit, Scored]]:
-    """What is nearest to the motions beside published numbers, gone down from there, on the group that is off most.
+def begun_in_all_strengths(problem: Problem, fit: Fit, groups: Sequence[tuple[str, ...]]) -> list[tuple[Fit, Scored]]:
+    """What is nearest to the motions in some strength, gone down from there, on the group that is off most.
 
-    Where servos reach their limits, numbers in a false valley that made up for what is missing tell the score test nothing.
+    Where servos reach their limits, little of an effect does nothing, or what much of it does not, and numbers in a false valley
+    that made up for what is missing tell the score test nothing.
     """
     there = [group for group in groups if worst_joint(problem, fit) in group]
-    places = placed_at(problem, fit, there[0], library(problem)) if there else []
+    places = reaching(problem, fit, there[0]) if there else []
 
     def gone_down(start: Float[np.ndarray, "P"], one: Scored) -> Fit:
         extended, _ = extend(fit, [placement(problem, one.candidate)])
         return descend_beside_published(fit, extended, start, one.candidate, ARRIVING)
 
-    nearest = near_published(problem, fit, places, strong=True)[:NEAREST]
+    nearest = by_nearness(problem, fit, places, in_all_strengths)[:NEAREST]
     ends = side_by_side(lambda found: gone_down(*found[1:]), nearest, problem.settings.threads)
     return [(near, one) for near, (_, _, one) in zip(ends, nearest, strict=True)]
 
 
 def nearer_beside_published(problem: Problem, fit: Fit, places: Sequence[Scored]) -> list[Scored]:
     """The candidates that are nearer to the motions than the fit is, small beside the published numbers; nearest first."""
-    return [one for error, _, one in near_published(problem, fit, places) if error < fit.rms][:LIKELIEST]
+    return [one for error, _, one in by_nearness(problem, fit, places, beside_published) if error < fit.rms][:LIKELIEST]
 
 
-def near_published(
-    problem: Problem, fit: Fit, places: Sequence[Scored], strong: bool = False
+def by_nearness(
+    problem: Problem, fit: Fit, places: Sequence[Scored], starts_of: Starts
 ) -> list[tuple[float, Float[np.ndarray, "P"], Scored]]:
-    """Candidates, each with the nearest of its probes beside the published numbers and its error [rad]; nearest first."""
+    """Candidates, each with the nearest of its starts and its error [rad]; nearest first."""
 
     def nearest(one: Scored) -> tuple[float, Float[np.ndarray, "P"], Scored]:
         place = placement(problem, one.candidate)
         extended, absent = extend(fit, [place])
-        starts = np.array(beside_published(problem, place, extended, absent, strong))
+        starts = np.array(starts_of(problem, place, extended, absent))
         errors = [rms(r) for r in extended.residuals(starts)]
         best = int(np.argmin(errors))
         return errors[best], starts[best], one
@@ -264,6 +269,14 @@ def overlooked(problem: Problem, fit: Fit, scored: Sequence[Scored]) -> list[Sco
     """The effects that are not in `scored`, on the joint that is off most: fitted numbers that are far from true may hide them."""
     known, there = {s.candidate.effect for s in scored}, (worst_joint(problem, fit),)
     return placed_at(problem, fit, there, [effect for effect in library(problem) if effect.name not in known])
+
+
+def reaching(problem: Problem, fit: Fit, group: tuple[str, ...]) -> list[Scored]:
+    """What can act on a group of joints, on a link that they carry, or on the world, and does not yet."""
+    effects = library(problem)
+    links = [(c.targets, effect) for effect in effects for c in on_links(problem, frozenset(group), effect)]
+    spots = [(group, effects), *((targets, [effect]) for targets, effect in links), ((), effects)]
+    return [one for targets, some in spots for one in placed_at(problem, fit, targets, some)]
 
 
 def placed_at(problem: Problem, fit: Fit, targets: Sequence[str], effects: Sequence[Effect]) -> list[Scored]:

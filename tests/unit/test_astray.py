@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 
 from edream.diagnosis import astray, left_out
-from edream.diagnosis.candidates import Candidate
+from edream.diagnosis.candidates import Candidate, placement
 from edream.diagnosis.nuisance import fit_nuisance
-from edream.diagnosis.screen import Scored
+from edream.diagnosis.screen import Scored, extend
+from edream.diagnosis.starts import STRONG, STRONGEST, as_published, in_all_strengths
+from edream.diagnosis.trials import reaching
 from tests.unit.test_shares import recorded, weak
 
 DRAG, SPRING = Candidate("quadratic_drag", ("tilt",)), Candidate("spring", ("tilt",))
@@ -40,3 +42,25 @@ def test_what_stands_out_beside_published_numbers_counts_where_servos_reach_thei
                 assert here == pytest.approx(plain, rel=1e-6), name
             elif "pan" in name:
                 assert here == pytest.approx(fit.space.mapping(fit.values)[name], rel=1e-6), name
+
+
+def test_what_reaches_a_joint_is_tried_in_all_strengths_beside_fitted_and_published_numbers(tmp_path: Path) -> None:
+    problem, _ = recorded(weak(tmp_path, 0.5), 4)
+    fit = fit_nuisance(problem)
+    reach = [one.candidate for one in reaching(problem, fit, ("tilt",))]
+    assert {Candidate("stribeck", ("tilt",)), Candidate("payload", ("head",)), Candidate("gravity_tilt", ())} <= set(reach)
+    assert len(set(reach)) == len(reach)
+    assert not any("pan" in c.targets for c in reach), "a link or a joint that the joint does not move"
+    assert Candidate("coulomb", ("tilt",)) not in reach, "it is in the model already"
+
+    place = placement(problem, Candidate("stribeck", ("tilt",)))
+    extended, absent = extend(fit, [place])
+    names, starts = extended.simulated.space.names, np.array(in_all_strengths(problem, place, extended, absent))
+    torque, usual = names.index("stribeck.torque[tilt]"), np.isin(names, fit.space.names)
+    weakest, most = starts[:, torque].min(), place.effect.parameters(problem.robot.model, ["tilt"])[0].high
+    assert {round(t / weakest, 6) for t in starts[:, torque]} == {min(s, most / weakest) for s in (1.0, STRONG, STRONGEST)}
+    half = len(starts) // 2
+    np.testing.assert_array_equal(starts[:half, torque], starts[half:, torque])
+    assert (starts[:half, usual] == fit.values).all()
+    believed = as_published(problem, fit.space.names, fit.values, frozenset({"tilt"}))
+    assert (starts[half:, usual] == believed).all() and not np.array_equal(believed, fit.values)

@@ -106,7 +106,7 @@ def test_unlikely_candidates_wait_and_are_not_refitted_where_another_closes_near
     assert {t.candidate.effect for t in best} == {"payload", "spring"}
 
 
-def test_where_servos_at_their_limit_leave_a_joint_off_what_is_nearest_beside_published_numbers_is_heard_too(
+def test_where_servos_at_their_limit_leave_a_joint_off_what_is_nearest_in_some_strength_is_heard_too(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Beside numbers that had made up for a motor of half its torque the score test spoke for a coupling, then a ripple."""
@@ -127,14 +127,13 @@ def test_where_servos_at_their_limit_leave_a_joint_off_what_is_nearest_beside_pu
         "led_astray": lambda problem, fit: False,
         "groups_off": lambda problem, fit: [("pan",), ("tilt",)],
         "worst_joint": lambda problem, fit: "tilt",
-        "library": lambda problem: list(away),
-        "placed_at": lambda problem, fit, targets, effects: [Scored(Candidate(name, targets), {}, 0.0) for name in effects],
+        "reaching": lambda problem, fit, group: [Scored(Candidate(name, group), {}, 0.0) for name in away],
         "placement": lambda problem, candidate: candidate,
         "extend": lambda fit, places: (
             SimpleNamespace(residuals=lambda sets: [np.full(4, away[places[0].effect])] * len(sets)),
             None,
         ),
-        "beside_published": lambda problem, place, extended, absent, strong: [np.zeros(1), np.ones(1)],
+        "in_all_strengths": lambda problem, place, extended, absent: [np.zeros(1), np.ones(1)],
         "descend_beside_published": lambda fit, extended, start, candidate, most: (
             steps.update({candidate.effect: most}) or fitted(candidate.effect)
         ),
