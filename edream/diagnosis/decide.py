@@ -12,7 +12,7 @@ from edream.diagnosis.astray import screen_twice
 from edream.diagnosis.backward import stands, without
 from edream.diagnosis.candidates import Candidate, acted_on, confused_with, placement, untouched
 from edream.diagnosis.descent import Fit, begin, descend, polish
-from edream.diagnosis.ends import begun_again, to_their_ends
+from edream.diagnosis.ends import SHAPES, arrived, begun_again, to_their_ends
 from edream.diagnosis.finer import closes_more, finest
 from edream.diagnosis.left_out import (
     HALF,
@@ -35,9 +35,7 @@ from edream.diagnosis.steps import with_short_steps
 from edream.diagnosis.suspects import elsewhere
 from edream.diagnosis.trials import (
     HOPELESS,
-    SHAPES,
     Trial,
-    arrived,
     beside,
     gone_on,
     is_usual,

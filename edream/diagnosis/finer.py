@@ -11,11 +11,12 @@ from edream.core.effect import Effect
 from edream.diagnosis.backward import is_away, stands
 from edream.diagnosis.candidates import Candidate, acted_on, standing
 from edream.diagnosis.descent import Fit, begin, descend, polish
+from edream.diagnosis.ends import arrived
 from edream.diagnosis.left_out import REAL_GAP, is_real, joint_errors
 from edream.diagnosis.problem import Problem
 from edream.diagnosis.side_by_side import side_by_side
 from edream.diagnosis.starts import with_column
-from edream.diagnosis.trials import Trial, arrived, judged, predicted
+from edream.diagnosis.trials import Trial, judged, predicted
 from edream.sim.objective import Objective
 from edream.sim.simulation import Placement
 

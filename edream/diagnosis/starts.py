@@ -36,20 +36,28 @@ def beside_published(
 
     Those that were fitted without it may have gone far to make up for it.
     """
-    joints = acted_on(Candidate(place.effect.name, tuple(place.targets)))
-    believed = as_published(problem, extended.simulated.space.names, absent, joints)
+    believed = _believed(problem, place, extended, absent)
     return [with_quantities(extended, believed, [place], [one]) for one in probes_of(problem, place)]
 
 
 def in_all_strengths(
     problem: Problem, place: Placement, extended: Objective, absent: Float[np.ndarray, "P"]
 ) -> list[Float[np.ndarray, "P"]]:
-    """Every probe of a candidate, weak to as strong as motors are, beside its joints' usual numbers as fitted and as published."""
-    joints = acted_on(Candidate(place.effect.name, tuple(place.targets)))
-    believed = as_published(problem, extended.simulated.space.names, absent, joints)
+    """Every probe of a candidate, weak to as strong as motors are, beside the usual numbers as they are."""
     stronger = [one for strength in (STRONG, STRONGEST) for one in strong_probes(problem, place, strength)]
-    probes = [*probes_of(problem, place), *stronger]
-    return [with_quantities(extended, usual, [place], [one]) for usual in (absent, believed) for one in probes]
+    return [with_quantities(extended, absent, [place], [one]) for one in (*probes_of(problem, place), *stronger)]
+
+
+def in_all_strengths_beside_published(
+    problem: Problem, place: Placement, extended: Objective, absent: Float[np.ndarray, "P"]
+) -> list[Float[np.ndarray, "P"]]:
+    """Every probe of a candidate, weak to as strong as motors are, beside its joints' usual numbers as published."""
+    return in_all_strengths(problem, place, extended, _believed(problem, place, extended, absent))
+
+
+def _believed(problem: Problem, place: Placement, extended: Objective, absent: Float[np.ndarray, "P"]) -> Float[np.ndarray, "P"]:
+    joints = acted_on(Candidate(place.effect.name, tuple(place.targets)))
+    return as_published(problem, extended.simulated.space.names, absent, joints)
 
 
 def as_published(

@@ -38,14 +38,13 @@ from edream.diagnosis.starts import (
     bold_starts,
     fresh_columns,
     in_all_strengths,
+    in_all_strengths_beside_published,
     of_joints,
     shapes,
-    strong_probes,
     with_column,
 )
 from edream.diagnosis.steps import with_long_steps
 from edream.diagnosis.valleys import groups_off
-from edream.sim.least_squares import worth
 from edream.sim.objective import Objective, rms
 from edream.sim.simulation import Placement
 
@@ -59,8 +58,6 @@ NEAREST = 5  # in some strength, where servos reach their limits: they are gone 
 FARTHER = 2  # of these, beside the first ones of all, to their ends
 UNLIKELY = 0.3  # of the largest share by the score test: those below wait, and are not refitted where another closes nearly all
 TOLD = 0.02  # of the squared error: what a candidate's search gains less by does not change what it is worth beside others
-SHAPED = 1.5  # floors of error from which a winner is tried in its other shapes
-SHAPES = 3  # so many of them
 
 Starts = Callable[[Problem, Placement, Objective, Float[np.ndarray, "P"]], list[Float[np.ndarray, "P"]]]
 
@@ -117,8 +114,8 @@ def try_best(
             begun.append((near, one))
             done(1)
     off = groups_off(problem, fit)
-    apart = begun_in_all_strengths(problem, few, off)
-    begun = sorted([*begun, *apart], key=lambda pair: pair[0].rms)
+    apart = begun_in_all_strengths(problem, few, off, in_all_strengths_beside_published)
+    begun = sorted([*begun, *apart, *begun_in_all_strengths(problem, few, off, in_all_strengths)], key=lambda pair: pair[0].rms)
     begun = [pair for i, pair in enumerate(begun) if pair[1].candidate not in [one.candidate for _, one in begun[:i]]]
     gained = [1.0 - (near.rms / few.rms) ** 2 for near, _ in begun]
     able = [pair for pair, gain in zip(begun, gained, strict=True) if gain >= HOPELESS * gained[0]]
@@ -211,7 +208,9 @@ def on_stretches(problem: Problem, fit: Fit) -> Fit:
     return begin(with_long_steps(problem, there).objective, fit.unit)
 
 
-def begun_in_all_strengths(problem: Problem, fit: Fit, groups: Sequence[tuple[str, ...]]) -> list[tuple[Fit, Scored]]:
+def begun_in_all_strengths(
+    problem: Problem, fit: Fit, groups: Sequence[tuple[str, ...]], starts_of: Starts
+) -> list[tuple[Fit, Scored]]:
     """What is nearest to the motions in some strength, gone down from there, on the group that is off most.
 
     Where servos reach their limits, little of an effect does nothing, or what much of it does not, and numbers in a false valley
@@ -224,7 +223,7 @@ def begun_in_all_strengths(problem: Problem, fit: Fit, groups: Sequence[tuple[st
         extended, _ = extend(fit, [placement(problem, one.candidate)])
         return descend_beside_published(fit, extended, start, one.candidate, ARRIVING)
 
-    nearest = by_nearness(problem, fit, places, in_all_strengths)[:NEAREST]
+    nearest = by_nearness(problem, fit, places, starts_of)[:NEAREST]
     ends = side_by_side(lambda found: gone_down(*found[1:]), nearest, problem.settings.threads)
     return [(near, one) for near, (_, _, one) in zip(ends, nearest, strict=True)]
 
@@ -327,26 +326,6 @@ def descend_beside_published(
         return descend(begin(extended, np.clip(extended.simulated.space.to_unit(start), 0.0, 1.0)), None, iterations)
     fresh = fresh_columns(fit, extended) | of_joints(extended, joints)
     return descend(with_column(fit, extended, start, fresh), fresh, iterations)
-
-
-def arrived(problem: Problem, before: Fit, taken: Trial) -> Fit:
-    """The winner's fit gone down to the end; where that leaves a gap, from its other shapes as well.
-
-    Those begin at the nuisance numbers from before it, which have not yet made up for a wrong shape.
-    """
-    fit = descend(replace(taken.fit, scale=worth(taken.fit.objective, taken.fit.residual)), None, 4)
-    place = placement(problem, taken.candidate)
-    extended, absent = extend(before, [place])
-    sets = [with_quantities(extended, absent, [place], [shape]) for shape in strong_probes(problem, place)]
-    if fit.rms <= SHAPED * problem.floor or len(sets) < 2:
-        return fit
-    residuals = extended.residuals(np.array(sets))
-    promising = np.argsort([rms(r) for r in residuals], kind="stable")[:SHAPES]
-    own, space = fresh_columns(before, extended), extended.simulated.space
-    starts = [np.clip(space.to_unit(sets[number]), 0.0, 1.0) for number in promising]
-    others = side_by_side(lambda start: descend(begin(extended, start), own, 3), starts, problem.settings.threads)
-    again = descend(min(others, key=lambda other: other.rms), None, 4)
-    return again if again.rms < fit.rms else fit
 
 
 def beside(problem: Problem, bare: Fit, candidate: Candidate) -> Fit:
