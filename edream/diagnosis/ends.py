@@ -31,7 +31,8 @@ def begun_again(problem: Problem, fits: Sequence[Fit], candidates: Sequence[Cand
         if number not in nearest:
             return fit
         start = fit.space.to_unit(as_published(problem, fit.space.names, fit.values, joints))
-        near = replace(begin(fit.objective, np.clip(start, 0.0, 1.0)), pulling=fit.pulling)  # far off, links seem to
+        # so far off, links seem to pull at each other that do not
+        near = replace(begin(fit.objective, np.clip(start, 0.0, 1.0)), pulling=fit.pulling)
         return min(fit, descend(near, None, 8), key=lambda one: one.rms)
 
     order = np.argsort([fit.rms for fit in fits], kind="stable").tolist()

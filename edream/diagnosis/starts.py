@@ -9,13 +9,13 @@ from edream.core.parameters import targets_in
 from edream.diagnosis.candidates import Candidate, acted_on, probes_of
 from edream.diagnosis.descent import Fit
 from edream.diagnosis.problem import Problem, nuisance_placements
-from edream.diagnosis.screen import Scored, scaled_probe, with_quantities
+from edream.diagnosis.screen import LARGEST_ALPHA, Scored, scaled_probe, with_quantities
 from edream.sim.differences import inwards
 from edream.sim.least_squares import worth
 from edream.sim.objective import Objective
 from edream.sim.simulation import Placement, SimulatedRobot
 
-STRONG, STRONGEST = 5.0, 20.0  # probes
+STRONG = 5.0  # probes
 
 
 def bold_starts(
@@ -44,7 +44,7 @@ def in_all_strengths(
     problem: Problem, place: Placement, extended: Objective, absent: Float[np.ndarray, "P"]
 ) -> list[Float[np.ndarray, "P"]]:
     """Every probe of a candidate, weak to as strong as motors are, beside the usual numbers as they are."""
-    stronger = [one for strength in (STRONG, STRONGEST) for one in strong_probes(problem, place, strength)]
+    stronger = [one for strength in (STRONG, LARGEST_ALPHA) for one in strong_probes(problem, place, strength)]
     return [with_quantities(extended, absent, [place], [one]) for one in (*probes_of(problem, place), *stronger)]
 
 
@@ -56,6 +56,7 @@ def in_all_strengths_beside_published(
 
 
 def _believed(problem: Problem, place: Placement, extended: Objective, absent: Float[np.ndarray, "P"]) -> Float[np.ndarray, "P"]:
+    """Parameter values, the usual numbers of the joints that a candidate acts on as published; of all, where it acts on none."""
     joints = acted_on(Candidate(place.effect.name, tuple(place.targets)))
     return as_published(problem, extended.simulated.space.names, absent, joints)
 

@@ -55,10 +55,11 @@ SERIOUS_SHARE = 0.01
 ARRIVING = 6  # steps from published numbers, which may be far away, for a candidate to show what it can
 NEARLY = 0.9  # of the squared gap above the floor: what is left asks for no search of every effect
 NEAREST = 5  # in some strength, where servos reach their limits: they are gone down from there
-FARTHER = 2  # of these, beside the first ones of all, to their ends
+FARTHER = 2  # of these, begun beside published numbers, go to their ends beyond the first ones of all
 UNLIKELY = 0.3  # of the largest share by the score test: those below wait, and are not refitted where another closes nearly all
 TOLD = 0.02  # of the squared error: what a candidate's search gains less by does not change what it is worth beside others
 
+# (problem, candidate, objective with it, values [P] where it is absent) -> values [P], in the parameters' units
 Starts = Callable[[Problem, Placement, Objective, Float[np.ndarray, "P"]], list[Float[np.ndarray, "P"]]]
 
 
@@ -119,7 +120,7 @@ def try_best(
     begun = [pair for i, pair in enumerate(begun) if pair[1].candidate not in [one.candidate for _, one in begun[:i]]]
     gained = [1.0 - (near.rms / few.rms) ** 2 for near, _ in begun]
     able = [pair for pair, gain in zip(begun, gained, strict=True) if gain >= HOPELESS * gained[0]]
-    # those that began elsewhere have further to go, and are no worse for that
+    # those that began beside published numbers have further to go, and are no worse for that
     hopeful = able[:FINISHED] + [pair for pair in able[FINISHED:] if pair in apart][:FARTHER]
     # what the score test says most for may only begin slowly: a payload has four numbers, beside some that have made up for it
     likeliest = [one.candidate for one in scored[:1]]
@@ -178,7 +179,7 @@ def try_boldly(
         near = int(np.argmin(left))
         if near < len(starts):
             return descend(with_column(brief, extended, starts[near]), fresh_columns(brief, extended), 3), one
-        return descend_beside_published(brief, extended, plain[near - len(starts)], one.candidate, 3), one
+        return descend_from(brief, extended, plain[near - len(starts)], one.candidate, 3), one
 
     def wholly(found: tuple[Fit, Scored]) -> Trial:
         begun, one = found
@@ -217,13 +218,14 @@ def begun_in_all_strengths(
     that made up for what is missing tell the score test nothing.
     """
     there = [group for group in groups if worst_joint(problem, fit) in group]
-    places = reaching(problem, fit, there[0]) if there else []
+    if not there:
+        return []
 
     def gone_down(start: Float[np.ndarray, "P"], one: Scored) -> Fit:
         extended, _ = extend(fit, [placement(problem, one.candidate)])
-        return descend_beside_published(fit, extended, start, one.candidate, ARRIVING)
+        return descend_from(fit, extended, start, one.candidate, ARRIVING)
 
-    nearest = by_nearness(problem, fit, places, starts_of)[:NEAREST]
+    nearest = by_nearness(problem, fit, reaching(problem, fit, there[0]), starts_of)[:NEAREST]
     ends = side_by_side(lambda found: gone_down(*found[1:]), nearest, problem.settings.threads)
     return [(near, one) for near, (_, _, one) in zip(ends, nearest, strict=True)]
 
@@ -309,7 +311,7 @@ def refitted(problem: Problem, fit: Fit, scored: Scored, iterations: int, joints
         nearest, nearer = plain[int(np.argmin(away[1:]))], min(away) < away[0]
         if nearer or problem.shared:
             most = max(iterations, ARRIVING) if problem.shared else iterations
-            apart = [descend_beside_published(fit, extended, nearest, scored.candidate, most)]
+            apart = [descend_from(fit, extended, nearest, scored.candidate, most)]
         if nearer:
             return apart[0]
     fresh = fresh_columns(fit, extended) | of_joints(extended, joints)
@@ -317,12 +319,10 @@ def refitted(problem: Problem, fit: Fit, scored: Scored, iterations: int, joints
     return min([beside_fitted, *apart], key=lambda one: one.rms)
 
 
-def descend_beside_published(
-    fit: Fit, extended: Objective, start: Float[np.ndarray, "P"], candidate: Candidate, iterations: int
-) -> Fit:
-    """A candidate gone down from beside its joints' published numbers, where columns that were fitted without it say little."""
+def descend_from(fit: Fit, extended: Objective, start: Float[np.ndarray, "P"], candidate: Candidate, iterations: int) -> Fit:
+    """A candidate gone down from away from the fitted numbers, where columns that were fitted without it say little."""
     joints = acted_on(candidate)
-    if not joints:  # all joints' numbers are the published ones
+    if not joints:  # it acts on all joints' numbers
         return descend(begin(extended, np.clip(extended.simulated.space.to_unit(start), 0.0, 1.0)), None, iterations)
     fresh = fresh_columns(fit, extended) | of_joints(extended, joints)
     return descend(with_column(fit, extended, start, fresh), fresh, iterations)

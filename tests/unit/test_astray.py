@@ -9,8 +9,8 @@ import pytest
 from edream.diagnosis import astray, left_out
 from edream.diagnosis.candidates import Candidate, placement
 from edream.diagnosis.nuisance import fit_nuisance
-from edream.diagnosis.screen import Scored, extend
-from edream.diagnosis.starts import STRONG, STRONGEST, as_published, in_all_strengths, in_all_strengths_beside_published
+from edream.diagnosis.screen import LARGEST_ALPHA, Scored, extend
+from edream.diagnosis.starts import STRONG, as_published, in_all_strengths, in_all_strengths_beside_published
 from edream.diagnosis.trials import reaching
 from tests.unit.test_shares import recorded, weak
 
@@ -59,7 +59,7 @@ def test_what_reaches_a_joint_is_tried_in_all_strengths_beside_fitted_and_publis
     apart = np.array(in_all_strengths_beside_published(problem, place, extended, absent))
     torque, usual = names.index("stribeck.torque[tilt]"), np.isin(names, fit.space.names)
     weakest, most = starts[:, torque].min(), place.effect.parameters(problem.robot.model, ["tilt"])[0].high
-    assert {round(t / weakest, 6) for t in starts[:, torque]} == {min(s, most / weakest) for s in (1.0, STRONG, STRONGEST)}
+    assert {round(t / weakest, 6) for t in starts[:, torque]} == {min(s, most / weakest) for s in (1.0, STRONG, LARGEST_ALPHA)}
     np.testing.assert_array_equal(starts[:, torque], apart[:, torque])
     assert (starts[:, usual] == fit.values).all()
     believed = as_published(problem, fit.space.names, fit.values, frozenset({"tilt"}))

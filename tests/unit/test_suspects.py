@@ -12,7 +12,7 @@ from edream.catalog import load
 from edream.core.effect import Effect
 from edream.core.episode import Episode
 from edream.diagnosis import suspects
-from edream.diagnosis.candidates import Candidate
+from edream.diagnosis.candidates import Candidate, on_links
 from edream.diagnosis.descent import begin, own_rows, polish
 from edream.diagnosis.left_out import does_better
 from edream.diagnosis.naming import strange_numbers
@@ -26,7 +26,6 @@ from edream.diagnosis.suspects import (
     at_the_end,
     brought_home,
     most_ordinary,
-    on_links,
     one_each,
     with_ordinary_numbers,
 )

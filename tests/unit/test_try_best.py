@@ -135,7 +135,7 @@ def test_where_servos_at_their_limit_leave_a_joint_off_what_is_nearest_in_some_s
         ),
         "in_all_strengths": lambda problem, place, extended, absent: [np.zeros(1)],
         "in_all_strengths_beside_published": lambda problem, place, extended, absent: [np.zeros(1), np.ones(1)],
-        "descend_beside_published": lambda fit, extended, start, candidate, most: (
+        "descend_from": lambda fit, extended, start, candidate, most: (
             steps.update({candidate.effect: most}) or fitted(candidate.effect)
         ),
         "on_few": lambda problem, fit: fit,
