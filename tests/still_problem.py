@@ -23,13 +23,19 @@ from edream.sim.simulation import SimulatedRobot
 NOISE = 3e-4  # of its measurements [rad]
 
 
-def commanded(number: int, joints: tuple[str, ...], seconds: float = 4.0, jump: float = 0.0) -> Episode:
-    """A recording of two joints that did exactly as they were told: sines at 50 Hz, with jumps [rad] to and fro."""
+def commanded(number: int, joints: tuple[str, ...], seconds: float = 4.0, jump: float = 0.0, jitter: float = 0.0) -> Episode:
+    """A recording of two joints that did exactly as they were told: sines at 50 Hz, with jumps [rad] to and fro.
+
+    Where the clock is off, by `jitter` [s], they begin at rest.
+    """
     rng = np.random.default_rng(number)
     times = np.arange(0.0, seconds, 0.02)
     phase = rng.uniform(0.0, 6.0, 2)
     command = 0.5 * np.sin(times[:, None] * rng.uniform(1.0, 3.0, 2) + phase)
     command = command + jump * np.sign(np.sin(2.5 * times[:, None] + phase))
+    if jitter:
+        times[1:] += jitter * rng.normal(size=len(times) - 1)
+        command = command * np.minimum(times[:, None], 1.0) ** 2
     return Episode(f"motion_{number}", joints, times, command, times, command)
 
 
@@ -40,15 +46,15 @@ def pan_tilt() -> RobotModel:
     return robot
 
 
-def still_problem(robot: RobotModel | None = None, step: float | None = None, jump: float = 0.0) -> Problem:
+def still_problem(robot: RobotModel | None = None, step: float | None = None, jump: float = 0.0, jitter: float = 0.0) -> Problem:
     """Five recordings in which nothing is hidden but the noise, and the time step [s] of the arm that made them.
 
-    `jump` is how far commands jump to and fro [rad].
+    `jump` is how far commands jump to and fro [rad], `jitter` by how much their clock is off [s].
     """
     robot = robot or pan_tilt()
-    bare = prepare(robot, [commanded(i, robot.joints, jump=jump) for i in range(5)], Settings())
+    bare = prepare(robot, [commanded(i, robot.joints, jump=jump, jitter=jitter) for i in range(5)], Settings())
     windows = (*bare.fitted, *bare.proof)
-    moved = rollout(SimulatedRobot(replace(robot, step=step), ()), np.zeros((1, 0)), windows)
+    moved = rollout(SimulatedRobot(replace(robot, step=step, timed=True), ()), np.zeros((1, 0)), windows)
     rng = np.random.default_rng(7)
     measured = [replace(w.episode, position=m[0] + rng.normal(0.0, NOISE, m[0].shape)) for w, m in zip(windows, moved, strict=True)]
     return prepare(robot, measured, Settings())

@@ -1,7 +1,7 @@
 """What is named, and which of a robot's usual numbers are so far from the published ones that they are named."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
@@ -57,6 +57,19 @@ def numbers_of(
         {short: intervals[name] for short, name in full.items()},
         {p.name: unit_at(p, problem.robot.model, place.targets) for p in parameters},
     )
+
+
+def as_written(one: Named, found: Fit, written: Fit) -> Named:
+    """What is named with the numbers that are written, which suit a plain loop, for those that were found; intervals go with them.
+
+    A number that one of the two does not have stays.
+    """
+    before, after = (fit.space.mapping(fit.values) for fit in (found, written))
+    place = f"[{'+'.join(one.targets)}]" if one.targets else ""
+    full = {short: f"{one.name}.{short}{place}" for short in one.values}
+    by = {short: after[name] - before[name] if name in before and name in after else 0.0 for short, name in full.items()}
+    values = {short: value + by[short] for short, value in one.values.items()}
+    return replace(one, values=values, intervals={n: (low + by[n], high + by[n]) for n, (low, high) in one.intervals.items()})
 
 
 def strange_numbers(problem: Problem, fit: Fit) -> list[Named]:

@@ -146,7 +146,7 @@ def prepare(robot: RobotModel, episodes: Sequence[Episode], settings: Settings) 
     windows = motions(episodes, settings)
     kept = _proof_names([w.episode.name for w in windows], settings)
     return Problem(
-        robot=kept_clear(robot, episodes),
+        robot=replace(kept_clear(robot, episodes), timed=True),
         settings=settings,
         groups=tuple(joint_groups(robot, settings.ties, settings.joints)),
         fitted=tuple(shortened([w for w in windows if w.episode.name not in kept], settings)),

@@ -11,6 +11,7 @@ from edream.diagnosis.descent import Fit, descend
 from edream.diagnosis.problem import VISIBLE, Problem
 from edream.diagnosis.valleys import out_of_false_valleys
 from edream.sim.objective import Objective, rms
+from edream.sim.robot import RobotModel
 from edream.sim.servo import share_within_limit
 from edream.sim.simulation import SimulatedRobot
 
@@ -19,17 +20,18 @@ HALVINGS = 3
 WORTH = 0.9  # of the error that longer steps leave
 LEAST = 0.5  # of the error: what less than that differs by cannot be worth so much
 UNLIKE = 10.0  # errors: so far apart, steps of two lengths make two robots
-GAIN, DAMPING, INERTIA = "servo_gain.kp", "viscous.damping", "armature.inertia"
+AS_NEAR = 1.02  # times the error with commands between steps: what a plain loop may leave
+DAMPING, INERTIA = "viscous.damping", "armature.inertia"
 
 
 def with_short_steps(problem: Problem, fit: Fit) -> tuple[Problem, Fit]:
     """The problem and its fit, with steps as short as its servos ask for.
 
-    The error of MuJoCo's integrators (all but Runge-Kutta) goes with the step h. Much of it is what other numbers would do: a
-    command acts half a step early, which on smooth motions more damping makes up for, and a damping d acts half a step late, which
-    less inertia would make up for (`moved`). What is left is no effect of the robot's, and must not be taken for one: steps are
-    halved as long as that closes a tenth of a visible error. Where that leaves a gap and servos reach their limits, the numbers may
-    stand in a false valley: they are led out of it, and from there steps are halved again.
+    The error of MuJoCo's integrators (all but Runge-Kutta) goes with the step h. A command would act half a step early, but is
+    given half a step late (`edream.sim.rollout`). A damping d acts half a step late, which less inertia would make up for
+    (`moved`). What is left is no effect of the robot's, and must not be taken for one: steps are halved as long as that closes a
+    tenth of a visible error. Where that leaves a gap and servos reach their limits, the numbers may stand in a false valley: they
+    are led out of it, and from there steps are halved again.
     """
     problem, fit = _halved(problem, fit)
     found = out_of_false_valleys(problem, fit)
@@ -41,13 +43,31 @@ def _halved(problem: Problem, fit: Fit) -> tuple[Problem, Fit]:
     for _ in range(HALVINGS):
         if not may_tell(problem, fit):
             break
-        step = float(problem.robot.model.opt.timestep) / 2.0
-        objective, unit, residual = _replayed(problem, fit, step)
+        robot = replace(problem.robot, step=float(problem.robot.model.opt.timestep) / 2.0)
+        objective, unit, residual = _replayed(fit, robot)
         found = descend(replace(fit, objective=objective, unit=unit, residual=residual, ended=False), None, iterations=3)
         if found.rms >= WORTH * fit.rms:
             break
-        problem, fit = replace(problem, robot=replace(problem.robot, step=step)), found
+        problem, fit = replace(problem, robot=robot), found
     return problem, fit
+
+
+def for_a_plain_loop(problem: Problem, fit: Fit) -> tuple[Problem, Fit]:
+    """The problem and its fit for any loop, which gives a command at the first step at or after its time.
+
+    A command that was recorded between two steps is then late by up to one, each by something else, for which no number makes up.
+    Steps are halved until that is worth next to nothing, and the numbers moved to suit them, by the slopes that they had.
+    """
+    plain, near = replace(problem.robot, timed=False), fit
+    for halvings in range(HALVINGS):
+        if halvings:
+            plain = replace(plain, step=float(plain.model.opt.timestep) / 2.0)
+        objective, unit, residual = _replayed(fit, plain)
+        begun = replace(fit, objective=objective, unit=unit, residual=residual)
+        near = replace(descend(begun, np.zeros(len(unit), bool), iterations=2), ended=fit.ended)
+        if near.rms <= AS_NEAR * fit.rms:
+            break
+    return replace(problem, robot=plain), near
 
 
 def with_long_steps(problem: Problem, fit: Fit) -> Fit:
@@ -71,7 +91,7 @@ def may_tell(problem: Problem, fit: Fit) -> bool:
     model = problem.robot.model
     if not first_order(model) or fit.rms <= (1.0 + VISIBLE) * problem.floor:
         return False
-    _, _, residual = _replayed(problem, fit, float(model.opt.timestep) / SHORTER)
+    _, _, residual = _replayed(fit, replace(problem.robot, step=float(model.opt.timestep) / SHORTER))
     return rms(residual - fit.residual) / (1.0 - 1.0 / SHORTER) >= LEAST * fit.rms
 
 
@@ -83,7 +103,7 @@ def first_order(model: mujoco.MjModel) -> bool:
 def moved(model: mujoco.MjModel, values: Mapping[str, float], less: float) -> dict[str, float]:
     """Usual numbers with which steps that are shorter by `less` [s] move a robot smoothly as these do.
 
-        d' = d - kp less / 2,  I' = I + s d less / 2
+        I' = I + s d less / 2
 
     with s = 1 for damping that is implicit, -1 for damping that is not (a servo's under the Euler method).
     Source: the modified equation of the semi-implicit Euler method, Hairer, Lubich, Wanner, Geometric Numerical Integration,
@@ -91,14 +111,12 @@ def moved(model: mujoco.MjModel, values: Mapping[str, float], less: float) -> di
 
     Args:
         model: with the longer steps.
-        values: full parameter name -> value of gain [N m/rad], damping [N m s/rad] and inertia [kg m^2]; others stay as they are.
+        values: full parameter name -> value, among them damping [N m s/rad] and inertia [kg m^2]; all others stay as they are.
     """
     out = dict(values)
     for name, value in values.items():
         quantity, _, place = name.partition("[")
-        if quantity == DAMPING:
-            out[name] = value - values.get(f"{GAIN}[{place}", 0.0) * less / 2.0
-        elif quantity == INERTIA:
+        if quantity == INERTIA:
             late = _lateness(model, next(iter(targets_in(name))))
             out[name] = value + late * values.get(f"{DAMPING}[{place}", 0.0) * less / 2.0
     return out
@@ -119,13 +137,14 @@ def in_continuous_time(problem: Problem, values: Mapping[str, float]) -> dict[st
     return moved(model, values, float(model.opt.timestep)) if first_order(model) else dict(values)
 
 
-def _replayed(problem: Problem, fit: Fit, step: float) -> tuple[Objective, np.ndarray, np.ndarray]:
-    """The objective with another time step [s], the unit-box numbers with which it moves the robot most as the fit does, (P,), and
-    the residual there [rad], (R,). They are the fit's own, or those that make up for the step on smooth motions."""
-    simulated = SimulatedRobot(replace(problem.robot, step=step), fit.objective.simulated.placements)
+def _replayed(fit: Fit, robot: RobotModel) -> tuple[Objective, np.ndarray, np.ndarray]:
+    """The objective with a robot of other steps, the unit-box numbers with which it moves most as the fit does, (P,), and the
+    residual there [rad], (R,). They are the fit's own, or those that make up for the steps on smooth motions."""
+    before = fit.objective.simulated
+    simulated = SimulatedRobot(robot, before.placements)
     objective, space = replace(fit.objective, simulated=simulated, simulations=0), simulated.space
-    found, less = fit.space.mapping(fit.values), float(problem.robot.model.opt.timestep) - step
-    sets = np.array([space.vector(one) for one in (found, moved(problem.robot.model, found, less))])
+    found, less = fit.space.mapping(fit.values), float(before.model.opt.timestep) - float(robot.model.opt.timestep)
+    sets = np.array([space.vector(one) for one in (found, moved(before.robot.model, found, less))])
     residuals = objective.residuals(sets)
     nearest = int(np.argmin([rms(residual - fit.residual) for residual in residuals]))
     return objective, np.clip(space.to_unit(sets[nearest]), 0.0, 1.0), residuals[nearest]

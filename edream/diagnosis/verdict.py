@@ -23,10 +23,11 @@ from edream.diagnosis.left_out import (
     is_real,
     proof_errors,
 )
-from edream.diagnosis.naming import Named, numbers_of, strange_numbers
+from edream.diagnosis.naming import Named, as_written, numbers_of, strange_numbers
 from edream.diagnosis.nuisance import fit_nuisance, published, with_shares
 from edream.diagnosis.problem import Problem, nuisance_placements
 from edream.diagnosis.remainder import Remainder, find_remainder
+from edream.diagnosis.steps import for_a_plain_loop
 from edream.diagnosis.suspects import Suspect, find_suspects, most_ordinary, what_stays, with_ordinary_numbers
 from edream.diagnosis.trials import Trial, is_another, judged, predicted
 from edream.sim.objective import rms
@@ -77,7 +78,7 @@ def diagnose(problem: Problem, done: Callable[[str, int], object] = lambda text,
         problem: robot, motions and settings.
         done: called with what is under way and how many units of it are finished.
     """
-    plain = published(problem)
+    plain = published(replace(problem, robot=replace(problem.robot, timed=False)))
     start = Fit(plain, np.zeros(0), np.zeros(0), np.zeros((0, 0)), 1.0)
     ladder = [("published", np.sqrt(proof_errors(problem, start)))]
     problem, before = with_shares(problem, fit_nuisance(problem))
@@ -129,14 +130,16 @@ def diagnose(problem: Problem, done: Callable[[str, int], object] = lambda text,
         fit = ended
         more = f" and {len(also) - 1} more" if len(also) > 1 else ""
         ladder.append((f"+ {also[0]}{more}", np.sqrt(proof_errors(problem, fit))))
+    written, fit = for_a_plain_loop(problem, fit)
     after = np.sqrt(proof_errors(problem, fit))
+    ladder[-1] = (ladder[-1][0], after)
     agrees = verdict == "none"
     said = agreement(problem, after**2) if agrees else sentence(verdict, effects, remainder, problem.robot.joints)
     return Diagnosis(
-        problem=problem,
+        problem=written,
         verdict=verdict,
-        sentence=said + on_steps(problem),
-        effects=tuple(effects),
+        sentence=said + on_steps(problem, written),
+        effects=tuple(as_written(one, ended, fit) for one in effects),
         before=before,
         after=fit,
         published_rms=rms(ladder[0][1]),
@@ -310,13 +313,14 @@ def sentence(verdict: Verdict, effects: Sequence[Named], remainder: Remainder | 
     return f"Your simulator lacks {_and(parts)}."
 
 
-def on_steps(problem: Problem) -> str:
-    """What to say where the published time step is too long; nothing otherwise."""
-    robot = problem.robot
-    if robot.step is None:
-        return ""
-    long, short = (f"{1e3 * float(step):.3g} ms" for step in (robot.published.model.opt.timestep, robot.step))
-    return f" Its steps of {long} are too long for this robot; all of this is with steps of {short}."
+def on_steps(problem: Problem, written: Problem) -> str:
+    """What to say where the published time step is too long, for the robot or for a plain loop; nothing otherwise."""
+    published, searched, last = (
+        f"{1e3 * float(robot.model.opt.timestep):.3g} ms" for robot in (problem.robot.published, problem.robot, written.robot)
+    )
+    found = f" Its steps of {published} are too long for this robot; all of this is with steps of {searched}."
+    between = f" Commands were recorded between steps of {searched}, so model.xml has steps of {last}."
+    return (found if searched != published else "") + (between if last != searched else "")
 
 
 def _on(targets: Sequence[str], joints: Sequence[str]) -> str:

@@ -30,6 +30,8 @@ class RobotModel:
         recorded: the joints that recordings are about, where the model drives more than these; empty for all.
         clear: whether nothing touches in the recordings, so that searches may leave contacts out; see `edream.sim.touch`.
         step: the simulator's time step [s] where it is another than the text says; see `edream.diagnosis.steps`.
+        timed: whether a command takes effect at its own time, also between steps, as searches have it; else at the next step, as in
+            any plain loop.
     """
 
     name: str
@@ -39,6 +41,7 @@ class RobotModel:
     recorded: tuple[str, ...] = ()
     clear: bool = False
     step: float | None = None
+    timed: bool = False
 
     @property
     def published(self) -> "RobotModel":

@@ -148,4 +148,4 @@ def summary(found: Diagnosis, bundle: Mapping[str, Any], more: str) -> dict[str,
     }
 
 
-ENTRY = Stage("diagnose", 105, ("ingest",), DiagnoseConfig, run, sources, ("mujoco", "numpy", "scipy"))
+ENTRY = Stage("diagnose", 106, ("ingest",), DiagnoseConfig, run, sources, ("mujoco", "numpy", "scipy"))
