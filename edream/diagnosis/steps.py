@@ -52,13 +52,18 @@ def _halved(problem: Problem, fit: Fit) -> tuple[Problem, Fit]:
     return problem, fit
 
 
+def in_a_plain_loop(problem: Problem) -> Problem:
+    """The problem with a robot that gets commands at steps, as `edream replay` and any loop of `mj_step` give them."""
+    return replace(problem, robot=replace(problem.robot, timed=False))
+
+
 def for_a_plain_loop(problem: Problem, fit: Fit) -> tuple[Problem, Fit]:
     """The problem and its fit for any loop, which gives a command at the first step at or after its time.
 
     A command that was recorded between two steps is then late by up to one, each by something else, for which no number makes up.
     Steps are halved until that is worth next to nothing, and the numbers moved to suit them, by the slopes that they had.
     """
-    plain, near = replace(problem.robot, timed=False), fit
+    plain, near = in_a_plain_loop(problem).robot, fit
     for halvings in range(HALVINGS):
         if halvings:
             plain = replace(plain, step=float(plain.model.opt.timestep) / 2.0)

@@ -27,7 +27,7 @@ from edream.diagnosis.naming import Named, as_written, numbers_of, strange_numbe
 from edream.diagnosis.nuisance import fit_nuisance, published, with_shares
 from edream.diagnosis.problem import Problem, nuisance_placements
 from edream.diagnosis.remainder import Remainder, find_remainder
-from edream.diagnosis.steps import for_a_plain_loop
+from edream.diagnosis.steps import for_a_plain_loop, in_a_plain_loop
 from edream.diagnosis.suspects import Suspect, find_suspects, most_ordinary, what_stays, with_ordinary_numbers
 from edream.diagnosis.trials import Trial, is_another, judged, predicted
 from edream.sim.objective import rms
@@ -78,7 +78,7 @@ def diagnose(problem: Problem, done: Callable[[str, int], object] = lambda text,
         problem: robot, motions and settings.
         done: called with what is under way and how many units of it are finished.
     """
-    plain = published(replace(problem, robot=replace(problem.robot, timed=False)))
+    plain = published(in_a_plain_loop(problem))
     start = Fit(plain, np.zeros(0), np.zeros(0), np.zeros((0, 0)), 1.0)
     ladder = [("published", np.sqrt(proof_errors(problem, start)))]
     problem, before = with_shares(problem, fit_nuisance(problem))
