@@ -1,6 +1,6 @@
 """What is named, and which of a robot's usual numbers are so far from the published ones that they are named."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import mujoco
@@ -75,25 +75,26 @@ def as_written(one: Named, found: Fit, written: Fit) -> Named:
 def strange_numbers(problem: Problem, fit: Fit) -> list[Named]:
     """Nuisance numbers that are far from the published ones, in the simulator's steps and in continuous time.
 
-    A servo's damping goes with its gain. Where the motions tell a joint's own damping from its servo's, it is looked at by itself.
+    A servo's damping goes with its gain: it is strange where neither what it is nor what it would be at the published gain may be
+    expected. Where the motions tell a joint's own damping from its servo's, that is looked at by itself.
     """
     found = []
     fitted = fit.space.mapping(fit.values)
     steady = in_continuous_time(problem, fitted)
-    gains: dict[tuple[str, ...], float] = {}
+    gains: dict[tuple[str, ...], tuple[str, float]] = {}  # its full name, and times the published one
     for place in fit.objective.simulated.placements:
         if place.effect.name not in problem.settings.nuisance:
             continue
         values, intervals, units = numbers_of(problem, fit, place)
         for parameter in load("effects", place.effect.name, Effect).parameters(problem.robot.model, place.targets):
-            usual = 1.0
-            if place.effect.name == "servo_gain" and parameter.start > 0.0:
-                gains[place.targets] = values[parameter.name] / parameter.start
-            elif place.effect.name == "viscous":
-                usual = gains.get(place.targets, 1.0)
             full, (low, high) = place.full_name(parameter.name), intervals[parameter.name]
+            if place.effect.name == "servo_gain" and parameter.start > 0.0:
+                gains[place.targets] = full, values[parameter.name] / parameter.start
             shift = steady[full] - fitted[full]
-            far = is_strange(parameter, (low + min(0.0, shift), high + max(0.0, shift)), usual)
+            far = is_strange(parameter, (low + min(0.0, shift), high + max(0.0, shift)))
+            gain, usual = gains.get(place.targets, ("", 1.0))
+            if far and gain and place.effect.name == "viscous":
+                far = is_strange(parameter, share_of(fit, full, gain, usual))
             if {"damping", "inside"} <= values.keys():
                 far = far or is_own_damping_strange(problem.robot.model, place.targets[0], own_damping(fit, place), usual)
             if far:
@@ -103,20 +104,38 @@ def strange_numbers(problem: Problem, fit: Fit) -> list[Named]:
     return found
 
 
-def is_strange(parameter: Parameter, interval: tuple[float, float], usual: float = 1.0) -> bool:
-    """Whether a number's interval excludes what may be expected, about its published value and about `usual` times that."""
+def is_strange(parameter: Parameter, interval: tuple[float, float]) -> bool:
+    """Whether a number's interval excludes what may be expected about its published value."""
     if parameter.guessed:
         return False
     yardstick = 0.02 * (parameter.high - parameter.low) if parameter.scale == "linear" else 0.0
-    low, high = min(1.0, usual) * parameter.start, max(1.0, usual) * parameter.start
-    return interval[0] > ORDINARY[1] * high + yardstick or interval[1] < ORDINARY[0] * low - yardstick
+    return interval[0] > ORDINARY[1] * parameter.start + yardstick or interval[1] < ORDINARY[0] * parameter.start - yardstick
+
+
+def share_of(fit: Fit, name: str, gain: str, usual: float) -> tuple[float, float]:
+    """95 % interval of a damping [N m s/rad] as it would be at the published gain, which is known better where one factor on both
+    changes little.
+
+    Args:
+        fit: both numbers.
+        name: full name of the damping; `gain`: of the gain.
+        usual: the gain as a multiple of the published one.
+    """
+    both = [fit.space.names.index(one) for one in (name, gain)]
+
+    def share(unit: Float[np.ndarray, "P"]) -> float:
+        damping, stiffness = fit.space.from_unit(unit)[both]
+        return float(damping / stiffness)
+
+    at, half = share(fit.unit), _half_width(fit, both, share)
+    published = float(fit.values[both[1]]) / usual
+    return published * (at - half), published * (at + half)
 
 
 def own_damping(fit: Fit, place: Placement) -> tuple[float, float]:
     """95 % interval of a joint's own damping [N m s/rad], where the servo's share of the whole is a number, too (`inside`).
 
     The two may be known far better together than each by itself: a servo's damping goes with its gain, the joint's does not.
-    Source: Oehlert, The American Statistician 46(1), 1992 (delta method).
     """
     names = fit.space.names
     moved = [names.index(place.full_name(quantity)) for quantity in ("damping", "inside")]
@@ -125,12 +144,20 @@ def own_damping(fit: Fit, place: Placement) -> tuple[float, float]:
         both, inside = fit.space.from_unit(unit)[moved]
         return float(both * (1.0 - inside))
 
-    slope = np.zeros(len(names))
-    for at in moved:
-        away = np.where(np.arange(len(names)) == at, NUDGE, 0.0)
-        slope[at] = (own(fit.unit + away) - own(fit.unit - away)) / (2.0 * NUDGE)
-    half = SURE * float(np.sqrt(max(slope @ fit.covariance() @ slope, 0.0)))
+    half = _half_width(fit, moved, own)
     return max(own(fit.unit) - half, 0.0), own(fit.unit) + half
+
+
+def _half_width(fit: Fit, moved: Sequence[int], of: Callable[[np.ndarray], float]) -> float:
+    """Half of the 95 % interval of what depends on some numbers, given by their columns.
+
+    Source: Oehlert, The American Statistician 46(1), 1992 (delta method).
+    """
+    slope = np.zeros(len(fit.unit))
+    for at in moved:
+        away = np.where(np.arange(len(fit.unit)) == at, NUDGE, 0.0)
+        slope[at] = (of(fit.unit + away) - of(fit.unit - away)) / (2.0 * NUDGE)
+    return SURE * float(np.sqrt(max(slope @ fit.covariance() @ slope, 0.0)))
 
 
 def is_own_damping_strange(model: mujoco.MjModel, joint: str, interval: tuple[float, float], usual: float = 1.0) -> bool:

@@ -184,8 +184,6 @@ def test_a_usual_number_is_strange_only_beyond_what_robots_of_a_kind_differ_by()
     assert is_strange(damping, (0.84, 0.88))
     assert not is_strange(damping, (0.76, 0.88))  # the interval reaches what is usual
     assert is_strange(damping, (0.38, 0.40))
-    assert not is_strange(damping, (0.38, 0.40), usual=0.65)  # a servo with 0.65 of its gain damps with 0.65 of it too
-    assert is_strange(damping, (0.2, 0.22), usual=0.65)
 
 
 def test_each_effect_is_heard_on_one_joint_and_on_a_group() -> None:

@@ -15,7 +15,7 @@ from edream.diagnosis import suspects
 from edream.diagnosis.candidates import Candidate, on_links
 from edream.diagnosis.descent import begin, own_rows, polish
 from edream.diagnosis.left_out import does_better
-from edream.diagnosis.naming import strange_numbers
+from edream.diagnosis.naming import share_of, strange_numbers
 from edream.diagnosis.nuisance import fit_nuisance
 from edream.diagnosis.problem import Settings, prepare
 from edream.diagnosis.screen import Scored
@@ -44,7 +44,13 @@ def test_one_strange_number_takes_no_others_along_on_a_joint_that_nothing_loads(
     episodes = [Episode(r.name, robot.joints, r.times, r.position, r.command_times, r.command) for r in made]
     problem = prepare(robot, episodes, Settings())
     fit = polish(fit_nuisance(problem))
-    assert len(strange_numbers(problem, fit)) > 1, "the valley must have led somewhere"
+    kp, damping = (float(fit.space.mapping(fit.values)[name]) for name in ("servo_gain.kp[pan]", "viscous.damping[pan]"))
+    assert kp > 1.1 * truth.nuisance["kp"]["pan"], "the valley must have led somewhere"
+    low, high = fit.intervals()["viscous.damping[pan]"]
+    assert low < ORDINARY[1] * 0.6 * kp / 20.0, "beside such a gain the damping alone may be as published"
+    least, most = share_of(fit, "viscous.damping[pan]", "servo_gain.kp[pan]", kp / 20.0)
+    assert most - least < 0.3 * (high - low) and least < damping * 20.0 / kp < most
+    assert [(one.name, one.targets) for one in strange_numbers(problem, fit)] == [("viscous", ("pan",))]
     home = most_ordinary(problem, fit)
     assert home.rms <= max(AS_WELL_MET * fit.rms, FLOOR_KNOWN * problem.floor)
     assert [(one.name, one.targets) for one in off_nominal(problem, home)] == [("viscous", ("pan",))]
