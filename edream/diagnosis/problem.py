@@ -67,7 +67,7 @@ class Settings:
     proof: float = 0.25
     holdout: tuple[str, ...] = ()
     stride: int = 1
-    model_floor: float = 3e-4
+    model_floor: float = 1.5e-4
     gain: float = 0.10
     most: int = 4
     seed: int = 0

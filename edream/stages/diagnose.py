@@ -39,7 +39,7 @@ class DiagnoseOptions:
     proof: float = 0.25
     holdout: tuple[str, ...] = ()
     stride: int = 1
-    model_floor: float = 3e-4
+    model_floor: float = 1.5e-4
     gain: float = 0.1
     most: int = 4
     next_motion: bool = True
@@ -148,4 +148,4 @@ def summary(found: Diagnosis, bundle: Mapping[str, Any], more: str) -> dict[str,
     }
 
 
-ENTRY = Stage("diagnose", 106, ("ingest",), DiagnoseConfig, run, sources, ("mujoco", "numpy", "scipy"))
+ENTRY = Stage("diagnose", 107, ("ingest",), DiagnoseConfig, run, sources, ("mujoco", "numpy", "scipy"))
