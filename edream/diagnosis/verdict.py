@@ -31,6 +31,7 @@ from edream.diagnosis.steps import for_a_plain_loop, in_a_plain_loop
 from edream.diagnosis.suspects import Suspect, find_suspects, most_ordinary, what_stays, with_ordinary_numbers
 from edream.diagnosis.trials import Trial, is_another, judged, predicted
 from edream.sim.objective import rms
+from edream.sim.robot import RobotModel
 
 CLOSED = 0.9  # share of the gap, in root-mean-square error, from which what is left is not worth a formula
 AS_GOOD = 1.1  # times the error of names and a formula that a formula alone may have and be preferred
@@ -43,7 +44,8 @@ class Diagnosis:
     """What was found, and the evidence.
 
     Attributes:
-        problem: what was worked on, its robot with the time step that was used.
+        problem: what was worked on, its robot with the time step that is written.
+        searched: the robot with the time step that was searched with.
         verdict: the outcome.
         sentence: the outcome in words.
         effects: what is missing.
@@ -57,6 +59,7 @@ class Diagnosis:
     """
 
     problem: Problem
+    searched: RobotModel
     verdict: Verdict
     sentence: str
     effects: tuple[Named, ...]
@@ -137,6 +140,7 @@ def diagnose(problem: Problem, done: Callable[[str, int], object] = lambda text,
     said = agreement(problem, after**2) if agrees else sentence(verdict, effects, remainder, problem.robot.joints)
     return Diagnosis(
         problem=written,
+        searched=problem.robot,
         verdict=verdict,
         sentence=said + on_steps(problem, written),
         effects=tuple(as_written(one, ended, fit) for one in effects),

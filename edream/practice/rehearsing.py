@@ -76,11 +76,12 @@ class RolloutOptions:
 
 @dataclass(frozen=True, eq=False)
 class Physics:
-    """One simulated robot: MJCF, hook file and grip."""
+    """One simulated robot: MJCF, hook file, grip, and the time step [s] where it is another than the MJCF says."""
 
     mjcf: str
     hook: Path | None
     grip: float
+    step: float | None = None
 
 
 def physics_need(model: str, physics: str) -> str:
@@ -114,6 +115,9 @@ def require_task(task: str, robot: RobotModel) -> None:
 def physics_of(robot: RobotModel, made: Mapping[str, Any] | None, folder: Path) -> Physics:
     """The robot as published, or as a fit or a diagnosis left it.
 
+    A diagnosis writes shorter steps where commands were recorded between longer ones. Trials give theirs at steps, and take the
+    steps that it was found with.
+
     Args:
         made: file name -> value, as the stage made it; None for the published robot.
         folder: takes the hook file.
@@ -125,7 +129,7 @@ def physics_of(robot: RobotModel, made: Mapping[str, Any] | None, folder: Path) 
     if about.get("hook"):
         hook = folder / HOOK
         hook.write_text(made[about["hook"]])
-    return Physics(made[about["model"]], hook, 1.0)
+    return Physics(made[about["model"]], hook, 1.0, about.get("step_s", {}).get("searched"))
 
 
 def physics_for(
@@ -223,6 +227,7 @@ def cell_of(
         placed,
         physics.grip,
         options.supersampling,
+        physics.step,
     )
 
 

@@ -34,6 +34,7 @@ class Workcell:
         placed: cameras as calibrated, in place of the bench's.
         grip: factor on all contact friction.
         supersampling: images are rendered so many times larger and averaged.
+        step: the simulator's time step [s] where it is another than the model says.
     """
 
     name: str
@@ -49,6 +50,7 @@ class Workcell:
     placed: Mapping[str, Camera] | None = None
     grip: float = 1.0
     supersampling: int = 1
+    step: float | None = None
 
 
 def open_workcell(cell: Workcell) -> SimulatedWorkcell:
@@ -57,7 +59,7 @@ def open_workcell(cell: Workcell) -> SimulatedWorkcell:
     Raises:
         EdreamError: the robot has no bench, or there is no such task or camera.
     """
-    robot = RobotModel(cell.name, cell.mjcf, cell.assets, cell.site)
+    robot = RobotModel(cell.name, cell.mjcf, cell.assets, cell.site, step=cell.step)
     task = catalog.load("tasks", cell.task, Task)
     seen = Images(cell.cameras, cell.height, cell.width, cell.placed, raw=False, supersampling=cell.supersampling)
     return SimulatedWorkcell(robot, task, cell.rate, seen, cell.hook, cell.grip)

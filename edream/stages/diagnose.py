@@ -133,6 +133,7 @@ def summary(found: Diagnosis, bundle: Mapping[str, Any], more: str) -> dict[str,
         },
         "step_s": {
             "published": float(problem.robot.published.model.opt.timestep),
+            "searched": float(found.searched.model.opt.timestep),
             "used": float(problem.robot.model.opt.timestep),
         },
         "formula": None if found.remainder is None else found.remainder.formula,
