@@ -113,11 +113,11 @@ def is_borne_out(problem: Problem, errors: Float[np.ndarray, "M"], floors: float
 def does_better(problem: Problem, fit: Fit, other: Fit) -> bool:
     """Whether a fit meets motions left out better than another one: by what can be seen, however they are drawn, and not one alone.
 
-    Compared are mean squared errors [rad^2] of motions left out, (M,). The one that gains most does not count: where a servo at
-    its limit just holds, or just not, it can be all of the gain.
+    Compared are mean squared errors [rad^2] of motions left out, (M,). The one that gains most and the one that loses most do not
+    count: where a servo at its limit just holds, or just not, one can be all of the gain or undo it.
     """
     gain = np.sort(left_out_errors(problem, other) - left_out_errors(problem, fit))
-    gain = gain[:-1] if len(gain) > 2 else gain  # of two, one says nothing about the other
+    gain = gain[1:-1] if len(gain) > 3 else gain[: max(2, len(gain) - 1)]  # of two, one says nothing about the other
     low, _ = bootstrap(gain, problem.settings.seed)
     return low > 0.0 and float(gain.mean()) > SEEN * problem.floor**2
 

@@ -96,7 +96,7 @@ def strange_numbers(problem: Problem, fit: Fit) -> list[Named]:
             if far and gain and place.effect.name == "viscous":
                 far = is_strange(parameter, share_of(fit, full, gain, usual))
             if {"damping", "inside"} <= values.keys():
-                far = far or is_own_damping_strange(problem.robot.model, place.targets[0], own_damping(fit, place), usual)
+                far = far or is_own_damping_strange(problem.robot.model, place.targets[0], own_damping(fit, place))
             if far:
                 found.append(
                     Named(place.effect.name, place.effect.summary, place.targets, values, intervals, units, float("nan"), None, ())
@@ -160,14 +160,13 @@ def _half_width(fit: Fit, moved: Sequence[int], of: Callable[[np.ndarray], float
     return SURE * float(np.sqrt(max(slope @ fit.covariance() @ slope, 0.0)))
 
 
-def is_own_damping_strange(model: mujoco.MjModel, joint: str, interval: tuple[float, float], usual: float = 1.0) -> bool:
-    """Whether the interval of a joint's own damping excludes what may be expected, about as published and about `usual` times that.
+def is_own_damping_strange(model: mujoco.MjModel, joint: str, interval: tuple[float, float]) -> bool:
+    """Whether the interval of a joint's own damping excludes what may be expected.
 
-    What brakes the joint itself, damping or a drag, is no servo's: a servo that seems to damp less can make up for it in the sum
-    of both alone.
+    What brakes the joint itself, damping or a drag, is no servo's, whatever its gain is: a servo that seems to damp less can make
+    up for it in the sum of both alone.
     """
     index = joint_index(model, joint)
     published = float(model.dof_damping[index["drive"]])
     little = LITTLE * (published - float(model.actuator_biasprm[index["actuator"], 2]))
-    above, below = ORDINARY[1] * max(1.0, usual) * published + little, ORDINARY[0] * min(1.0, usual) * published - little
-    return interval[0] > above or interval[1] < below
+    return interval[0] > ORDINARY[1] * published + little or interval[1] < ORDINARY[0] * published - little

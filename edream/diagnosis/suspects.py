@@ -29,6 +29,7 @@ TIGHTER = (0.5, 0.3)  # times the usual width of what is believed
 AS_WELL_MET = 1.003  # times the error of the fit that is free to leave the published numbers
 FLOOR_KNOWN = 1.02  # times the floor: an error below is what a true simulator may leave
 ORDINARY = (0.68, 1.35)  # times a published number: what may be expected, 30 % off is usual
+SERVO = ("servo_gain.kp", "viscous.damping", "viscous.inside")
 BENT = 0.25  # of the error that two true simulators may have between them: so much of it numbers may have taken up
 
 
@@ -161,9 +162,9 @@ def most_ordinary(problem: Problem, fit: Fit) -> Fit:
     out. So that factor goes first otherwise; then priors are made tighter, step by step. All of it as long as it costs next to
     nothing, or no more than a true simulator would leave.
     """
-    near = with_ordinary_numbers(problem, fit)
+    near = _boxed(problem, fit)
     if near.rms <= max(AS_WELL_MET * fit.rms, float(np.hypot(fit.rms, BENT * problem.settings.model_floor))):
-        return near
+        return freed(polish(near), fit.objective)
     best, most = fit, max(AS_WELL_MET * fit.rms, FLOOR_KNOWN * problem.floor)
     for share in TIGHTER:
         found = [believe_published(problem, best, share)]
@@ -177,7 +178,15 @@ def most_ordinary(problem: Problem, fit: Fit) -> Fit:
 
 
 def with_ordinary_numbers(problem: Problem, fit: Fit) -> Fit:
-    """The model fitted again, none of its numbers further from the published one than may be expected (guesses and zeros aside)."""
+    """The model fitted again to the end, none of its numbers further from the published one than may be expected.
+
+    Guesses and zeros may be anything.
+    """
+    return freed(polish(_boxed(problem, fit)), fit.objective)
+
+
+def _boxed(problem: Problem, fit: Fit) -> Fit:
+    """A fit in the bounds of ordinary numbers."""
     placements = []
     for place in fit.objective.simulated.placements:
         bounds = {quantity: dict(known) for quantity, known in (place.bounds or {}).items()}
@@ -189,7 +198,7 @@ def with_ordinary_numbers(problem: Problem, fit: Fit) -> Fit:
                 own["start"] = float(np.clip(own.get("start", parameter.start), own["low"], own["high"]))
         placements.append(replace(place, bounds=bounds))
     boxed = replace(fit.objective, simulated=SimulatedRobot(problem.robot, tuple(placements)), simulations=0)
-    return freed(descend(begin(boxed, np.clip(boxed.simulated.space.to_unit(fit.values), 0.0, 1.0)), None), fit.objective)
+    return descend(begin(boxed, np.clip(boxed.simulated.space.to_unit(fit.values), 0.0, 1.0)), None)
 
 
 def freed(fit: Fit, objective: Objective) -> Fit:
@@ -197,18 +206,33 @@ def freed(fit: Fit, objective: Objective) -> Fit:
     space, corners = objective.simulated.space, np.array([np.zeros(len(fit.unit)), np.ones(len(fit.unit))])
     widths = np.diff(space.to_unit(fit.space.from_unit(corners)), axis=0)[0]
     unit = np.clip(space.to_unit(fit.values), 0.0, 1.0)
-    return replace(fit, objective=objective, unit=unit, jacobian=fit.jacobian / widths, ended=False)
+    return replace(fit, objective=objective, unit=unit, jacobian=fit.jacobian / widths)
 
 
 def brought_home(problem: Problem, fit: Fit) -> Fit:
-    """All numbers of each joint divided by one factor, the median of what they are off by: one strange number leaves that alone."""
+    """All numbers of each joint divided by one factor, the median of what they are off by: one strange number leaves that alone.
+
+    Where motions tell the servo's share of the damping, it reaches its limit, which knows that factor. What it does is to turn over
+    at some ratio of its gain and its own damping: these two go together, to the published gain.
+    """
     values, names, ways = fit.values.copy(), fit.space.names, _ways(problem, fit)
     usual = {p.name for p in SimulatedRobot(problem.robot, nuisance_placements(problem)).space.parameters}
     for group in problem.groups:
         own = [i for i, name in enumerate(names) if name in usual and targets_in(name) == set(group)]
         known = [ways[names[i]] for i in own if names[i] in ways]
+        numbers = [f"{quantity}[{'+'.join(group)}]" for quantity in SERVO]
+        if group in problem.shared and numbers[0] in ways and all(one in names for one in numbers):
+            at = [names.index(one) for one in numbers]
+            values[at] = _turned_down(*values[at], float(np.exp(ways[numbers[0]])))
+            continue
         values[own] /= np.exp(np.median(known or [0.0]))
     return begin(fit.objective, np.clip(fit.space.to_unit(values), 0.0, 1.0))
+
+
+def _turned_down(gain: float, damping: float, inside: float, factor: float) -> tuple[float, float, float]:
+    """Gain [N m/rad], damping [N m s/rad] and the servo's share of it, the servo's own two divided by a factor."""
+    own, servo = damping * (1.0 - inside), damping * inside / factor
+    return gain / factor, own + servo, servo / (own + servo)
 
 
 def _ways(problem: Problem, fit: Fit) -> dict[str, float]:

@@ -76,7 +76,6 @@ def test_what_is_ordinary_of_a_joints_own_damping(tmp_path: Path) -> None:
     model = load_robot(weak(tmp_path, 0.5)).model  # 0.1 N m s/rad of its own, 0.5 of its servo
     assert not is_own_damping_strange(model, "pan", (0.15, 0.4))
     assert is_own_damping_strange(model, "pan", (0.22, 0.4))
-    assert not is_own_damping_strange(model, "pan", (0.22, 0.4), usual=2.0)
     assert not is_own_damping_strange(model, "pan", (0.0, 0.05))  # so little of the whole says nothing
 
 
