@@ -10,19 +10,21 @@ from edream.catalog import load
 from edream.core.effect import Effect
 from edream.core.parameters import targets_in
 from edream.diagnosis.backward import backward
-from edream.diagnosis.candidates import Candidate, acted_on, carried_by, confused_with, library, next_to, on_links
+from edream.diagnosis.candidates import Candidate, acted_on, carried_by, confused_with, library, next_to, on_links, placement
 from edream.diagnosis.descent import Fit, begin, cost, descend, polish
 from edream.diagnosis.left_out import left_out_errors
 from edream.diagnosis.problem import Problem, nuisance_placements
-from edream.diagnosis.screen import Scored, screen
+from edream.diagnosis.screen import Scored, extend, screen
 from edream.diagnosis.side_by_side import side_by_side
-from edream.diagnosis.trials import Trial, is_usual, judged, placed_at, refit
+from edream.diagnosis.starts import as_published, in_all_strengths
+from edream.diagnosis.trials import Trial, by_nearness, descend_from, is_usual, judged, placed_at, refit
 from edream.sim.objective import Objective
-from edream.sim.simulation import SimulatedRobot
+from edream.sim.simulation import Placement, SimulatedRobot
 
 EVIDENCE = 4.0  # by how much the cost (-2 log posterior) must fall
 HOMEWARD = 0.5  # share of the strangeness that a suspect must explain
 REFITTED = 10
+NEAREST = 3  # of what is put in the place of strange numbers
 PROMISING, PATIENTLY = 0.5, 8  # of the largest relief, from which suspects are fitted on, for so many steps
 AS_GOOD = 1.03  # times the error without it
 TIGHTER = (0.5, 0.3)  # times the usual width of what is believed
@@ -69,8 +71,7 @@ def find_suspects(
     errors = left_out_errors(problem, fit)
     joints = frozenset(joint for name in strange_names for joint in targets_in(name))
 
-    def relieving(likely: Sequence[Scored]) -> list[Suspect]:
-        trials = refitted_at_home(problem, believing, errors, likely, done)
+    def relieving(trials: Sequence[Trial]) -> list[Suspect]:
         return [
             Suspect(trial.candidate, trial.fit, relief)
             for trial in trials
@@ -82,13 +83,17 @@ def find_suspects(
 
     likely = one_each(problem, screen(problem, believing, done), joints)[:REFITTED]
     likely += [one for one in at_the_end(problem, believing, joints) if one.candidate not in [s.candidate for s in likely]]
-    found = sorted(relieving(likely), key=lambda s: -s.relief)
+    found = relieving(refitted_at_home(problem, believing, errors, likely, done))
+    found += relieving(in_their_place(problem, believing, errors, strange_names))
+    found = list({s.candidate: s for s in sorted(found, key=lambda s: s.relief)}.values())[::-1]
     if found:  # no twin of the best one goes unheard
         best = found[0].candidate
         twins = placed_at(problem, believing, best.targets, confused_with(problem, best.effect))
         effect = load("effects", best.effect, Effect)
         twins += [s for c in on_links(problem, joints, effect) for s in placed_at(problem, believing, c.targets, [effect])]
-        found += relieving([one for one in twins if one.candidate not in [s.candidate for s in likely]])
+        heard = [s.candidate for s in (*likely, *found)]
+        twins = [one for one in twins if one.candidate not in heard]
+        found += relieving(refitted_at_home(problem, believing, errors, twins, done))
     return sorted(found, key=lambda s: -s.relief)
 
 
@@ -120,6 +125,35 @@ def refitted_at_home(
         return judged(problem, descend(trial.fit, None, PATIENTLY), errors, trial) if slow else trial
 
     return list(side_by_side(gone_home, trials, threads))
+
+
+def in_their_place(problem: Problem, believing: Fit, errors: np.ndarray, strange_names: Sequence[str]) -> list[Trial]:
+    """What strange numbers are known to be confused with, gone down from where it is nearest to the motions in their place.
+
+    A dead zone of the servo moves as more dry friction does: beside that the score test sees nothing of it. So those numbers, or
+    all of their joints, are put back as published, and the effect in there in several strengths.
+    """
+    places: list[Scored] = []
+    for name in strange_names:
+        there = [joint for joint in problem.joints if joint in targets_in(name)]
+        places += placed_at(problem, believing, there, confused_with(problem, name.partition(".")[0]))
+    places = list({one.candidate: one for one in places}.values())
+    joints = frozenset(joint for name in strange_names for joint in targets_in(name))
+
+    def put_back(
+        problem: Problem, place: Placement, extended: Objective, absent: Float[np.ndarray, "P"]
+    ) -> list[Float[np.ndarray, "P"]]:
+        names = extended.simulated.space.names
+        home = as_published(problem, names, absent, joints)
+        bare = np.where(np.isin(names, list(strange_names)), home, absent)
+        return [start for one in (bare, home) for start in in_all_strengths(problem, place, extended, one)]
+
+    nearest = by_nearness(problem, believing, places, put_back)[:NEAREST]
+    ends = []
+    for _, start, one in nearest:
+        extended, _ = extend(believing, [placement(problem, one.candidate)])
+        ends.append(judged(problem, descend_from(believing, extended, start, one.candidate, REFITTED), errors, one))
+    return ends
 
 
 def one_each(problem: Problem, scored: Sequence[Scored], joints: frozenset[str]) -> list[Scored]:
@@ -223,7 +257,8 @@ def brought_home(problem: Problem, fit: Fit) -> Fit:
         numbers = [f"{quantity}[{'+'.join(group)}]" for quantity in SERVO]
         if group in problem.shared and numbers[0] in ways and all(one in names for one in numbers):
             at = [names.index(one) for one in numbers]
-            values[at] = _turned_down(*values[at], float(np.exp(ways[numbers[0]])))
+            gain, damping, inside = map(float, values[at])
+            values[at] = _turned_down(gain, damping, inside, float(np.exp(ways[numbers[0]])))
             continue
         values[own] /= np.exp(np.median(known or [0.0]))
     return begin(fit.objective, np.clip(fit.space.to_unit(values), 0.0, 1.0))

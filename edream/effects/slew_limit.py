@@ -24,7 +24,7 @@ class SlewLimit(Effect):
     name = "slew_limit"
     summary = "a speed limit of the setpoint"
     place = "joint"
-    confusable = ("torque_speed_limit", "torque_limit", "actuator_lag")
+    confusable = ("torque_speed_limit", "torque_limit", "actuator_lag", "viscous")
     of_position_servo = True
 
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:

@@ -12,28 +12,34 @@ from edream.catalog import load
 from edream.core.effect import Effect
 from edream.core.episode import Episode
 from edream.diagnosis import suspects
-from edream.diagnosis.candidates import Candidate, on_links
+from edream.diagnosis.candidates import Candidate, on_links, placement
 from edream.diagnosis.descent import begin, own_rows, polish
-from edream.diagnosis.left_out import does_better
+from edream.diagnosis.left_out import does_better, left_out_errors
 from edream.diagnosis.naming import share_of, strange_numbers
 from edream.diagnosis.nuisance import fit_nuisance
 from edream.diagnosis.problem import Settings, prepare
 from edream.diagnosis.screen import Scored
 from edream.diagnosis.suspects import (
     AS_WELL_MET,
+    EVIDENCE,
     FLOOR_KNOWN,
     ORDINARY,
     at_the_end,
+    believe_published,
     brought_home,
+    in_their_place,
     most_ordinary,
     one_each,
+    relief_by,
     with_ordinary_numbers,
 )
 from edream.diagnosis.trials import Trial
 from edream.diagnosis.verdict import off_nominal, without_numbers
 from edream.reality.recorder import Recorder, make_recordings
 from edream.reality.truth import draw
-from tests.still_problem import still_problem
+from edream.sim.rollout import rollout
+from edream.sim.simulation import SimulatedRobot
+from tests.still_problem import NOISE, still_problem
 
 
 def test_one_strange_number_takes_no_others_along_on_a_joint_that_nothing_loads() -> None:
@@ -228,3 +234,25 @@ def test_what_makes_little_strangeness_ordinary_is_looked_for_since_it_may_meet_
         monkeypatch.setattr(suspects, name, stand_in)
     found = suspects.find_suspects(SimpleNamespace(), FitOf("none"), STRANGE)
     assert [(s.candidate, s.relief) for s in found] == ([(spring.candidate, 20.0)] if usual else [])
+
+
+def test_in_the_place_of_a_strange_friction_stands_the_dead_zone_that_it_had_made_up_for() -> None:
+    bare = still_problem()
+    windows = (*bare.fitted, *bare.proof)
+    dead = SimulatedRobot(bare.robot, (placement(bare, Candidate("dead_zone", ("pan",))),))
+    rng = np.random.default_rng(8)
+    moved = rollout(dead, np.array([[0.018]]), windows)
+    noisy = [replace(w.episode, position=m[0] + rng.normal(0.0, NOISE, m[0].shape)) for w, m in zip(windows, moved, strict=True)]
+    problem = prepare(bare.robot, noisy, Settings())
+    fit = polish(fit_nuisance(problem))
+    friction = "coulomb.torque[pan]"
+    assert friction in [f"{one.name}.torque[{one.targets[0]}]" for one in strange_numbers(problem, fit)]
+    believing = believe_published(problem, fit)
+    ends = in_their_place(problem, believing, left_out_errors(problem, believing), [friction])
+    (trial,) = (one for one in ends if one.candidate.effect == "dead_zone")
+    found = trial.fit.space.mapping(trial.fit.values)
+    assert fit.space.mapping(fit.values)[friction] > 0.25 and found[friction] < 0.08  # 0.06 as published
+    error = found["dead_zone.width[pan]"] + found[friction] / found["servo_gain.kp[pan]"]  # with which the servo begins to move
+    assert error == pytest.approx(0.018 + 0.06 / 20.0, rel=0.03)
+    assert trial.fit.rms == min(one.fit.rms for one in ends)
+    assert relief_by(believing, trial.fit) > EVIDENCE
