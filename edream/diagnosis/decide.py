@@ -48,7 +48,6 @@ from edream.diagnosis.trials import (
     try_best,
     with_bold,
 )
-from edream.diagnosis.unheard import with_unheard
 from edream.sim.least_squares import worth
 
 ALIKE = 0.9  # a rival that closes this share of what the winner closes may be the true one
@@ -86,7 +85,8 @@ def forward(
     """Add effects while they pass, the best on left-out motions first; before each, steps are made as short as they need to be.
 
     Returns:
-        The problem with the steps that were taken, the final fit, and every round; but for the most effects, the last took nothing.
+        The problem with the steps that were taken, the final fit, and every round, the last of which took nothing unless the most
+        effects were reached.
     """
     rounds: list[Round] = []
     for _ in range(problem.settings.most):
@@ -112,10 +112,6 @@ def forward(
             break
         passing = [t for t in trials if passes(problem, t) and matters(problem, first, errors, fit, t, bare)]
         taken, ended = first_that_stands(problem, fit, passing)
-        if taken is None and passing:
-            trials = settled(problem, fit, errors, with_unheard(problem, fit, errors, trials, lambda n: done("searching", n)))
-            passing = [t for t in trials if passes(problem, t) and matters(problem, first, errors, fit, t, bare)]
-            taken, ended = first_that_stands(problem, fit, passing)
         if taken is not None and (fewer := narrowed(problem, fit, errors, taken, ended)) is not None:
             trial, there = fewer
             if stands(problem, trial.candidate, there) and not told_apart(problem, trial, taken):

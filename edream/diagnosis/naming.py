@@ -13,11 +13,10 @@ from edream.core.parameters import Parameter
 from edream.diagnosis.descent import SURE, Fit
 from edream.diagnosis.problem import Problem
 from edream.diagnosis.steps import in_continuous_time
-from edream.diagnosis.suspects import ORDINARY
+from edream.diagnosis.suspects import LITTLE, ORDINARY
 from edream.sim.simulation import Placement, unit_at
 
 NUDGE = 1e-4  # of the unit box, by which a slope is taken
-LITTLE = 0.1  # of a joint's damping, the servo's included: so much of it may be the joint's own where none is published
 
 
 @dataclass(frozen=True)

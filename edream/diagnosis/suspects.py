@@ -3,11 +3,12 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
+import mujoco
 import numpy as np
 from jaxtyping import Float
 
 from edream.catalog import load
-from edream.core.effect import Effect
+from edream.core.effect import Effect, joint_index
 from edream.core.parameters import targets_in
 from edream.diagnosis.backward import backward
 from edream.diagnosis.candidates import Candidate, acted_on, carried_by, confused_with, library, next_to, on_links, placement
@@ -32,6 +33,7 @@ AS_WELL_MET = 1.003  # times the error of the fit that is free to leave the publ
 FLOOR_KNOWN = 1.02  # times the floor: an error below is what a true simulator may leave
 ORDINARY = (0.68, 1.35)  # times a published number: what may be expected, 30 % off is usual
 SERVO = ("servo_gain.kp", "viscous.damping", "viscous.inside")
+LITTLE = 0.1  # of a joint's damping, the servo's included: so much of it may be the joint's own where none is published
 BENT = 0.25  # of the error that two true simulators may have between them: so much of it numbers may have taken up
 
 
@@ -230,9 +232,21 @@ def _boxed(problem: Problem, fit: Fit) -> Fit:
                 own = bounds.setdefault(parameter.name, {})
                 own["low"], own["high"] = max(low, own.get("low", parameter.low)), min(high, own.get("high", parameter.high))
                 own["start"] = float(np.clip(own.get("start", parameter.start), own["low"], own["high"]))
+        if place.effect.name == "viscous" and place.targets in problem.shared:
+            least = least_share(problem.robot.model, place.targets[0])
+            known = bounds.setdefault("inside", {})
+            known["low"], known["start"] = max(least, known.get("low", 0.0)), max(least, known.get("start", least))
         placements.append(replace(place, bounds=bounds))
     boxed = replace(fit.objective, simulated=SimulatedRobot(problem.robot, tuple(placements)), simulations=0)
     return descend(begin(boxed, np.clip(boxed.simulated.space.to_unit(fit.values), 0.0, 1.0)), None)
+
+
+def least_share(model: mujoco.MjModel, joint: str) -> float:
+    """The servo's share of an ordinary damping, above which the joint's own is ordinary, too, little of the whole aside."""
+    index = joint_index(model, joint)
+    own = float(model.dof_damping[index["drive"]])
+    both = own - float(model.actuator_biasprm[index["actuator"], 2])
+    return max(1.0 - (ORDINARY[1] * own + LITTLE * both) / (ORDINARY[1] * both), 0.0) if both > 0.0 else 0.0
 
 
 def freed(fit: Fit, objective: Objective) -> Fit:

@@ -60,7 +60,7 @@ def test_a_rotor_that_the_model_leaves_out_is_found(bare: RobotModel, tmp_path: 
     ]
     problem = prepare(bare, episodes, Settings())
     found = fit_nuisance(problem)
-    assert found.rms < 1.5 * problem.floor
+    assert found.rms < 2.0 * problem.floor
     numbers = found.space.mapping(found.values)
     # free motion about an upright axis shows ratios alone; the link is a thousandth of what turns
     ratio = numbers["armature.inertia[wrist]"] / numbers["servo_gain.kp[wrist]"]

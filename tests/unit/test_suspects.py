@@ -180,6 +180,7 @@ def test_a_twin_of_the_best_effect_behind_strange_numbers_is_heard_once(monkeypa
         "confused_with": lambda problem, effect: ["load_friction"] if effect == "directional_efficiency" else [],
         "placed_at": placed_at,
         "at_the_end": lambda problem, fit, joints: [],
+        "in_their_place": lambda problem, believing, errors, strange_names: [],
         "on_links": lambda problem, joints, effect: [],
         "is_usual": lambda problem, trial: True,
     }
@@ -227,6 +228,7 @@ def test_what_makes_little_strangeness_ordinary_is_looked_for_since_it_may_meet_
         "confused_with": lambda problem, effect: [],
         "placed_at": lambda problem, fit, targets, effects: [],
         "at_the_end": lambda problem, fit, joints: [],
+        "in_their_place": lambda problem, believing, errors, strange_names: [],
         "on_links": lambda problem, joints, effect: [],
         "is_usual": lambda problem, trial: usual,
     }
