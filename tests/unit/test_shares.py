@@ -15,6 +15,7 @@ from edream.diagnosis.naming import is_own_damping_strange, own_damping, strange
 from edream.diagnosis.nuisance import fit_nuisance, with_shares
 from edream.diagnosis.problem import Problem, Settings, prepare
 from edream.diagnosis.steps import with_short_steps
+from edream.diagnosis.suspects import least_share
 from edream.diagnosis.valleys import better_place, out_of_false_valleys
 from edream.reality.recorder import Recorder, make_recordings
 from edream.reality.truth import Truth, draw
@@ -161,3 +162,10 @@ def test_a_limit_of_the_joint_counts_as_one_of_its_servo(tmp_path: Path) -> None
     (limited,) = (model.joint(number).name for number in np.flatnonzero(model.jnt_actfrclimited))
     assert strongest(free, limited) == 50.0 and not all_or_nothing(free, limited)
     assert strongest(model, limited) == 3.0 and all_or_nothing(model, limited)
+
+
+def test_an_ordinary_damping_of_the_joints_own_bounds_the_servos_share(tmp_path: Path) -> None:
+    model = load_robot(weak(tmp_path, 0.5)).model  # 0.1 N m s/rad of its own, 0.5 of its servo
+    assert least_share(model, "pan") == pytest.approx(1.0 - (1.35 * 0.1 + 0.1 * 0.6) / (1.35 * 0.6))
+    most = 1.35 * 0.6 * (1.0 - least_share(model, "pan"))
+    assert not is_own_damping_strange(model, "pan", (most - 1e-6, 1.0)) and is_own_damping_strange(model, "pan", (most + 1e-6, 1.0))
