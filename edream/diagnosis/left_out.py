@@ -117,7 +117,8 @@ def does_better(problem: Problem, fit: Fit, other: Fit) -> bool:
     count: where a servo at its limit just holds, or just not, one can be all of the gain or undo it.
     """
     gain = np.sort(left_out_errors(problem, other) - left_out_errors(problem, fit))
-    gain = gain[1:-1] if len(gain) > 3 else gain[: max(2, len(gain) - 1)]  # of two, one says nothing about the other
+    first, last = int(len(gain) > 3), len(gain) - int(len(gain) > 2)  # of two, one says nothing about the other
+    gain = gain[first:last]
     low, _ = bootstrap(gain, problem.settings.seed)
     return low > 0.0 and float(gain.mean()) > SEEN * problem.floor**2
 

@@ -8,12 +8,12 @@ import numpy as np
 from jaxtyping import Float
 
 from edream.catalog import load
-from edream.core.effect import Effect, joint_index
+from edream.core.effect import Effect
 from edream.core.parameters import Parameter
 from edream.diagnosis.descent import SURE, Fit
 from edream.diagnosis.problem import Problem
 from edream.diagnosis.steps import in_continuous_time
-from edream.diagnosis.suspects import LITTLE, ORDINARY
+from edream.diagnosis.suspects import ORDINARY, ordinary_own_damping
 from edream.sim.simulation import Placement, unit_at
 
 NUDGE = 1e-4  # of the unit box, by which a slope is taken
@@ -165,7 +165,5 @@ def is_own_damping_strange(model: mujoco.MjModel, joint: str, interval: tuple[fl
     What brakes the joint itself, damping or a drag, is no servo's, whatever its gain is: a servo that seems to damp less can make
     up for it in the sum of both alone.
     """
-    index = joint_index(model, joint)
-    published = float(model.dof_damping[index["drive"]])
-    little = LITTLE * (published - float(model.actuator_biasprm[index["actuator"], 2]))
-    return interval[0] > ORDINARY[1] * published + little or interval[1] < ORDINARY[0] * published - little
+    low, high = ordinary_own_damping(model, joint)
+    return interval[0] > high or interval[1] < low

@@ -20,6 +20,7 @@ HALVINGS = 3
 WORTH = 0.9  # of the error that longer steps leave
 LEAST = 0.5  # of the error: what less than that differs by cannot be worth so much
 UNLIKE = 10.0  # errors: so far apart, steps of two lengths make two robots
+LENGTHS = 3  # of steps, each half of the one before, that a plain loop may get
 AS_NEAR = 1.02  # times the error with commands between steps: what a plain loop may leave
 DAMPING, INERTIA = "viscous.damping", "armature.inertia"
 
@@ -64,7 +65,7 @@ def for_a_plain_loop(problem: Problem, fit: Fit) -> tuple[Problem, Fit]:
     Steps are halved until that is worth next to nothing, and the numbers moved to suit them, by the slopes that they had.
     """
     plain, near = in_a_plain_loop(problem).robot, fit
-    for halvings in range(HALVINGS):
+    for halvings in range(LENGTHS):
         if halvings:
             plain = replace(plain, step=float(plain.model.opt.timestep) / 2.0)
         objective, unit, residual = _replayed(fit, plain)

@@ -242,11 +242,18 @@ def _boxed(problem: Problem, fit: Fit) -> Fit:
 
 
 def least_share(model: mujoco.MjModel, joint: str) -> float:
-    """The servo's share of an ordinary damping, above which the joint's own is ordinary, too, little of the whole aside."""
+    """The servo's share [1] of an ordinary damping, above which the joint's own is ordinary, too."""
+    index = joint_index(model, joint)
+    both = float(model.dof_damping[index["drive"]] - model.actuator_biasprm[index["actuator"], 2])
+    return max(1.0 - ordinary_own_damping(model, joint)[1] / (ORDINARY[1] * both), 0.0) if both > 0.0 else 0.0
+
+
+def ordinary_own_damping(model: mujoco.MjModel, joint: str) -> tuple[float, float]:
+    """Between which values a joint's own damping [N m s/rad] may be expected; a little of the whole says nothing."""
     index = joint_index(model, joint)
     own = float(model.dof_damping[index["drive"]])
-    both = own - float(model.actuator_biasprm[index["actuator"], 2])
-    return max(1.0 - (ORDINARY[1] * own + LITTLE * both) / (ORDINARY[1] * both), 0.0) if both > 0.0 else 0.0
+    little = LITTLE * (own - float(model.actuator_biasprm[index["actuator"], 2]))
+    return ORDINARY[0] * own - little, ORDINARY[1] * own + little
 
 
 def freed(fit: Fit, objective: Objective) -> Fit:
