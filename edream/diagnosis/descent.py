@@ -8,13 +8,13 @@ from jaxtyping import Bool, Float
 from scipy.optimize import lsq_linear
 
 from edream.core.parameters import ParameterSpace
+from edream.diagnosis.intervals import SURE, within_box
 from edream.sim.differences import blocks, inwards, jacobian, jacobian_along_axes, nearly, straight
 from edream.sim.least_squares import worth
 from edream.sim.objective import Objective, rms
 from edream.sim.polish import coupled
 from edream.sim.window import Window
 
-SURE = 1.96  # standard deviations to either side: a 95 % interval
 STRETCH = 1.5  # s
 LONGEST_STEP = 0.2  # of the unit box
 SHORTER = (0.5, 0.2, 0.06)  # of a step
@@ -82,10 +82,8 @@ class Fit:
         return sandwich * grow[:, None] * grow[None, :]
 
     def intervals(self, level: float = SURE) -> dict[str, tuple[float, float]]:
-        """95 % interval of each parameter, in its unit, clipped to its box."""
-        half = level * np.sqrt(np.maximum(np.diag(self.covariance()), 0.0))
-        low = self.space.from_unit(np.clip(self.unit - half, 0.0, 1.0))
-        high = self.space.from_unit(np.clip(self.unit + half, 0.0, 1.0))
+        """95 % interval of each parameter, in its unit, where no other leaves its box with it (see `within_box`)."""
+        low, high = (self.space.from_unit(end) for end in within_box(self.unit, self.covariance(), level))
         return {name: (float(a), float(b)) for name, a, b in zip(self.space.names, low, high, strict=True)}
 
 
