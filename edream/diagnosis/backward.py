@@ -12,6 +12,7 @@ from edream.diagnosis.descent import Fit, begin, descend, polish
 from edream.diagnosis.left_out import bootstrap, gap_above_floor, is_material, left_out_errors
 from edream.diagnosis.problem import Problem
 from edream.diagnosis.starts import as_published
+from edream.diagnosis.trials import Trial
 from edream.sim.least_squares import worth
 
 BOUND = 1e-3  # of the unit box: nearer, a number sits at its bound
@@ -46,6 +47,11 @@ def still_standing(problem: Problem, fit: Fit, kept: Sequence[Candidate]) -> tup
         if len(left) > 1 and not stands(problem, candidate, fit):
             fit, left = refitted_without(problem, fit, candidate), [one for one in left if one != candidate]
     return fit, left
+
+
+def passes(problem: Problem, trial: Trial) -> bool:
+    """Whether a refitted candidate may be named: large enough, sure, its own numbers away from nothing and from their bounds."""
+    return trial.closed >= problem.settings.gain and trial.sure and stands(problem, trial.candidate, trial.fit)
 
 
 def stands(problem: Problem, candidate: Candidate, fit: Fit) -> bool:

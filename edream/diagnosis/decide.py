@@ -9,25 +9,22 @@ from jaxtyping import Float
 from edream.catalog import load
 from edream.core.effect import Effect
 from edream.diagnosis.astray import screen_twice
-from edream.diagnosis.backward import stands, without
+from edream.diagnosis.backward import passes, stands, without
 from edream.diagnosis.candidates import Candidate, acted_on, confused_with, placement, untouched
 from edream.diagnosis.descent import Fit, begin, descend, polish
 from edream.diagnosis.ends import SHAPES, arrived, begun_again, to_their_ends
 from edream.diagnosis.finer import closes_more, finest
 from edream.diagnosis.left_out import (
-    HALF,
     asks_for_more,
     bootstrap,
     falls_short,
     is_brief,
     is_material,
-    is_real,
     leaves_no_gap,
 )
 from edream.diagnosis.narrowing import narrowed
 from edream.diagnosis.problem import Problem
 from edream.diagnosis.remainder import Remainder, find_remainder
-from edream.diagnosis.rough import rough_candidates, searched
 from edream.diagnosis.screen import Scored, extend
 from edream.diagnosis.side_by_side import side_by_side
 from edream.diagnosis.starts import fresh_columns, of_joints
@@ -48,6 +45,7 @@ from edream.diagnosis.trials import (
     try_best,
     with_bold,
 )
+from edream.diagnosis.wanting import with_put_back, with_rough
 from edream.sim.least_squares import worth
 
 ALIKE = 0.9  # a rival that closes this share of what the winner closes may be the true one
@@ -103,6 +101,7 @@ def forward(
         if not rounds:  # later ones begin at numbers that make up for less
             trials = with_bold(problem, fit, errors, trials, lambda n: done("searching", n))
         trials = with_rough(problem, fit, errors, trials, lambda n: done("searching", n))
+        trials = with_put_back(problem, fit, errors, trials)
         trials = with_confusable(problem, fit, errors, scored, trials, lambda n: done("refitting", n))
         trials = settled(problem, fit, errors, trials)
         trials = restarted(problem, errors, trials)
@@ -271,27 +270,6 @@ def comes_down_to(problem: Problem, trial: Trial, plain: Candidate) -> bool:
     return known(trial.fit) and (trial.fit.ended or known(polish(trial.fit)))
 
 
-def with_rough(
-    problem: Problem,
-    fit: Fit,
-    errors: Float[np.ndarray, "M"],
-    trials: Sequence[Trial],
-    done: Callable[[int], object] = lambda n: None,
-) -> list[Trial]:
-    """The trials; where none that passes closes as much as half of a real gap, also the effects that no descent finds."""
-    best = next((t for t in trials if passes(problem, t)), None)
-    left = errors if best is None else best.errors
-    if not is_real(problem, left) or (best is not None and best.closed >= HALF):
-        return list(trials)
-    more = []
-    for candidate in rough_candidates(problem, fit):
-        if (found := searched(problem, fit, candidate)) is not None:
-            more.append(judged(problem, found, errors, Scored(candidate, {}, 0.0)))
-        done(1)
-    others = [t for t in trials if t.candidate not in [m.candidate for m in more]]
-    return sorted([*others, *more], key=lambda t: -t.closed)
-
-
 def with_confusable(
     problem: Problem,
     fit: Fit,
@@ -361,11 +339,6 @@ def heard(
         more += [trial] if trial is not None else []
         done(1)
     return more
-
-
-def passes(problem: Problem, trial: Trial) -> bool:
-    """Whether a refitted candidate may be named: large enough, sure, its own numbers away from nothing and from their bounds."""
-    return trial.closed >= problem.settings.gain and trial.sure and stands(problem, trial.candidate, trial.fit)
 
 
 def rivals(problem: Problem, trials: Sequence[Trial], winner: Trial) -> list[tuple[Trial, bool]]:
