@@ -13,6 +13,7 @@ from edream.diagnosis.backward import backward, refitted_without, still_standing
 from edream.diagnosis.candidates import Candidate, placement, standing
 from edream.diagnosis.decide import ALIKE, Round, forward, meets_as_well, rivals
 from edream.diagnosis.descent import Fit, polish
+from edream.diagnosis.exchange import exchanged
 from edream.diagnosis.finer import with_plain
 from edream.diagnosis.left_out import (
     agreement,
@@ -89,8 +90,10 @@ def diagnose(problem: Problem, done: Callable[[str, int], object] = lambda text,
     problem, fit, rounds = forward(problem, before, done)
     before = rounds[0].before
     ladder.append(("calibrated", np.sqrt(proof_errors(problem, before))))
+    ladder += [(_label(one.taken), np.sqrt(proof_errors(problem, one.taken.fit))) for one in rounds if one.taken is not None]
+    fit, rounds, told = exchanged(problem, fit, rounds)
+    ladder += [(label, np.sqrt(proof_errors(problem, one))) for label, one in told]
     taken = [one.taken for one in rounds if one.taken is not None]
-    ladder += [(_label(t), np.sqrt(proof_errors(problem, t.fit))) for t in taken]
     fit, kept = backward(problem, fit, [t.candidate for t in taken], rounds[0].errors)
     fit, kept = still_standing(problem, fit, kept) if len(kept) < len(taken) else (fit, kept)
     fit = with_plain(problem, fit, kept)
