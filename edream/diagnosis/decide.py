@@ -34,6 +34,7 @@ from edream.diagnosis.trials import (
     HOPELESS,
     Trial,
     beside,
+    best_of_each,
     gone_on,
     is_usual,
     judged,
@@ -296,8 +297,7 @@ def with_confusable(
         if not more:
             break
         asked |= set(asking)
-        better = {t.candidate: t for t in sorted([*found, *more], key=lambda t: t.closed)}
-        found = sorted(better.values(), key=lambda t: -t.closed)
+        found = best_of_each([*found, *more])
     return found
 
 

@@ -262,8 +262,13 @@ def with_bold(
     if is_small(fit) or not far_off(problem, fit) or any(t.sure and t.closed >= HALF for t in trials):
         return list(trials)
     more = try_boldly(problem, fit, errors, overlooked(problem, fit, []), done)
-    better = {t.candidate: t for t in sorted([*trials, *more], key=lambda t: t.closed)}
-    return sorted(better.values(), key=lambda t: -t.closed)
+    return best_of_each([*trials, *more])
+
+
+def best_of_each(trials: Sequence[Trial]) -> list[Trial]:
+    """The best trial of every candidate, best first."""
+    best = {t.candidate: t for t in sorted(trials, key=lambda t: t.closed)}
+    return sorted(best.values(), key=lambda t: -t.closed)
 
 
 def overlooked(problem: Problem, fit: Fit, scored: Sequence[Scored]) -> list[Scored]:

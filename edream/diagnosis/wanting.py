@@ -14,7 +14,7 @@ from edream.diagnosis.rough import rough_candidates, searched
 from edream.diagnosis.screen import Scored
 from edream.diagnosis.side_by_side import side_by_side
 from edream.diagnosis.starts import in_all_strengths_beside_published
-from edream.diagnosis.trials import HOPELESS, Trial, begun_in_all_strengths, gone_on, judged, on_few
+from edream.diagnosis.trials import HOPELESS, Trial, begun_in_all_strengths, best_of_each, gone_on, judged, on_few
 
 
 def with_rough(
@@ -54,9 +54,7 @@ def with_put_back(problem: Problem, fit: Fit, errors: Float[np.ndarray, "M"], tr
         near, one = pair
         return judged(problem, gone_on(fit, near, acted_on(one.candidate)), errors, one)
 
-    more = side_by_side(finished, hopeful, problem.settings.threads)
-    better = {t.candidate: t for t in sorted([*trials, *more], key=lambda t: t.closed)}
-    return sorted(better.values(), key=lambda t: -t.closed)
+    return best_of_each([*trials, *side_by_side(finished, hopeful, problem.settings.threads)])
 
 
 def is_wanting(problem: Problem, errors: Float[np.ndarray, "M"], trials: Sequence[Trial]) -> bool:
