@@ -3,11 +3,8 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
-from jaxtyping import Float
-
 from edream.diagnosis.backward import passes, refitted_without, without
-from edream.diagnosis.candidates import confused_with, placement
+from edream.diagnosis.candidates import Candidate, acted_on, confused_with, placement
 from edream.diagnosis.decide import Round
 from edream.diagnosis.descent import Fit, descend, polish
 from edream.diagnosis.left_out import HALF, bootstrap, left_out_errors
@@ -15,9 +12,10 @@ from edream.diagnosis.problem import Problem
 from edream.diagnosis.screen import Scored, extend
 from edream.diagnosis.side_by_side import side_by_side
 from edream.diagnosis.starts import in_all_strengths, in_all_strengths_beside_published
-from edream.diagnosis.trials import ARRIVING, Trial, by_nearness, descend_from, judged, placed_at
+from edream.diagnosis.trials import ARRIVING, Trial, by_nearness, descend_from, gone_on, judged, on_few, placed_at
 
 LEFT = 1.3  # floors of error beside all names, from which one of them may be a stand-in
+HOPEFUL = 0.7  # of the squared error above the floor: what leaves more on few motions is not gone on with
 
 
 def exchanged(problem: Problem, fit: Fit, rounds: Sequence[Round]) -> tuple[Fit, list[Round], list[tuple[str, Fit]]]:
@@ -35,10 +33,11 @@ def exchanged(problem: Problem, fit: Fit, rounds: Sequence[Round]) -> tuple[Fit,
     for number, one in enumerate(rounds):
         if one.taken is None or fit.rms <= LEFT * problem.floor:
             continue
-        bare = refitted_without(problem, fit, one.taken.candidate)
-        errors = left_out_errors(problem, bare)
+        if not (ends := instead(problem, fit, one.taken.candidate)):
+            continue
+        errors = left_out_errors(problem, refitted_without(problem, fit, one.taken.candidate))
         old = judged(problem, fit, errors, one.taken)
-        others = instead(problem, fit, errors, old)
+        others = sorted((judged(problem, polish(end), errors, twin) for end, twin in ends), key=lambda t: -t.closed)
         new = next((t for t in others if passes(problem, t) and is_better(problem, t, old)), None)
         if new is not None:
             fit = new.fit
@@ -47,24 +46,24 @@ def exchanged(problem: Problem, fit: Fit, rounds: Sequence[Round]) -> tuple[Fit,
     return fit, out, told
 
 
-def instead(problem: Problem, fit: Fit, errors: Float[np.ndarray, "M"], old: Trial) -> list[Trial]:
-    """What a name is confused with, in its place beside all others, each gone down to its end; best first.
+def instead(problem: Problem, fit: Fit, name: Candidate) -> list[tuple[Fit, Scored]]:
+    """What a name is confused with in its place beside all others, where that closes nearly half of what is left on few motions.
 
-    `errors` are those of motions left out [rad^2], (M,), without it.
+    Each is begun beside the usual numbers as they are and as published: those that made up for the name's form lead nowhere else.
     """
-    bare = without(fit, old.candidate)
-    twins = placed_at(problem, bare, old.candidate.targets, confused_with(problem, old.candidate.effect))
+    bare = without(fit, name)
+    few, known = on_few(problem, bare), on_few(problem, fit)
+    least = problem.floor**2 + HOPEFUL * (known.rms**2 - problem.floor**2)
+    twins = placed_at(problem, bare, name.targets, confused_with(problem, name.effect))
 
-    def gone_down(start: Float[np.ndarray, "P"], one: Scored) -> Fit:
-        extended, _ = extend(bare, [placement(problem, one.candidate)])
-        return descend(descend_from(bare, extended, start, one.candidate, ARRIVING), None, ARRIVING)
+    def gone_down(one: Scored) -> tuple[Fit, Scored]:
+        extended, _ = extend(few, [placement(problem, one.candidate)])
+        starts = [by_nearness(problem, few, [one], of)[0][1] for of in (in_all_strengths, in_all_strengths_beside_published)]
+        ends = [descend(descend_from(few, extended, start, one.candidate, ARRIVING), None, ARRIVING) for start in starts]
+        return min(ends, key=lambda end: end.rms), one
 
-    def ended(one: Scored) -> Trial:
-        """From usual numbers as they are and as published: those that made up for the name's own form lead nowhere else."""
-        starts = [by_nearness(problem, bare, [one], of)[0][1] for of in (in_all_strengths, in_all_strengths_beside_published)]
-        return judged(problem, polish(min((gone_down(start, one) for start in starts), key=lambda end: end.rms)), errors, one)
-
-    return sorted(side_by_side(ended, twins, problem.settings.threads), key=lambda t: -t.closed)
+    found = side_by_side(gone_down, twins, problem.settings.threads)
+    return [(gone_on(bare, near, acted_on(one.candidate)), one) for near, one in found if near.rms**2 <= least]
 
 
 def is_better(problem: Problem, new: Trial, old: Trial) -> bool:

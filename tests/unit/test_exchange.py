@@ -30,9 +30,10 @@ def stand_ins(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(exchange, "refitted_without", lambda problem, fit, candidate: fit)
     monkeypatch.setattr(exchange, "left_out_errors", lambda problem, fit: np.full(MOTIONS, 40.0))
     monkeypatch.setattr(exchange, "judged", lambda problem, fit, errors, one: one)
+    monkeypatch.setattr(exchange, "polish", lambda fit: fit)
     monkeypatch.setattr(exchange, "passes", lambda problem, one: one.sure)
     others = {"actuator_delay": [trial("actuator_lag", 1.2)], "spring": [trial("hardening_spring", 3.9)]}
-    monkeypatch.setattr(exchange, "instead", lambda problem, fit, errors, old: others.get(old.candidate.effect, []))
+    monkeypatch.setattr(exchange, "instead", lambda problem, fit, name: [(t.fit, t) for t in others.get(name.effect, [])])
 
 
 @pytest.mark.usefixtures("stand_ins")
