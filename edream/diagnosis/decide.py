@@ -102,7 +102,7 @@ def forward(
         if not rounds:  # later ones begin at numbers that make up for less
             trials = with_bold(problem, fit, errors, trials, lambda n: done("searching", n))
         trials = with_rough(problem, fit, errors, trials, lambda n: done("searching", n))
-        trials = with_put_back(problem, fit, errors, trials)
+        trials = with_put_back(problem, fit, errors, trials, lambda n: done("searching", n))
         trials = with_confusable(problem, fit, errors, scored, trials, lambda n: done("refitting", n))
         trials = settled(problem, fit, errors, trials)
         trials = restarted(problem, errors, trials)

@@ -1,6 +1,6 @@
 """Names that give way to what they are confused with, once others stand beside them."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from edream.diagnosis.backward import passes, refitted_without, without
@@ -18,7 +18,9 @@ LEFT = 1.3  # floors of error beside all names, from which one of them may be a 
 HOPEFUL = 0.7  # of the squared error above the floor: what leaves more on few motions is not gone on with
 
 
-def exchanged(problem: Problem, fit: Fit, rounds: Sequence[Round]) -> tuple[Fit, list[Round], list[tuple[str, Fit]]]:
+def exchanged(
+    problem: Problem, fit: Fit, rounds: Sequence[Round], done: Callable[[int], object] = lambda n: None
+) -> tuple[Fit, list[Round], list[tuple[str, Fit]]]:
     """Where several names leave a gap, each gives way to what it is confused with and closes half of that beside the others.
 
     A lag beside damping and inertia goes slowly, and looked less like what was missing than a delay as long as a second effect
@@ -33,7 +35,9 @@ def exchanged(problem: Problem, fit: Fit, rounds: Sequence[Round]) -> tuple[Fit,
     for number, one in enumerate(rounds):
         if one.taken is None or fit.rms <= LEFT * problem.floor:
             continue
-        if not (ends := instead(problem, fit, one.taken.candidate)):
+        ends = instead(problem, fit, one.taken.candidate)
+        done(1)
+        if not ends:
             continue
         errors = left_out_errors(problem, refitted_without(problem, fit, one.taken.candidate))
         old = judged(problem, fit, errors, one.taken)
@@ -42,7 +46,7 @@ def exchanged(problem: Problem, fit: Fit, rounds: Sequence[Round]) -> tuple[Fit,
         if new is not None:
             fit = new.fit
             out[number] = replace(one, trials=sorted([*others, old], key=lambda t: -t.closed), taken=new)
-            told.append((f"{new.candidate.label} for {old.candidate.label}", fit))
+            told.append((f"{new.candidate.label} instead", fit))
     return fit, out, told
 
 

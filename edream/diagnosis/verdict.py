@@ -91,7 +91,7 @@ def diagnose(problem: Problem, done: Callable[[str, int], object] = lambda text,
     before = rounds[0].before
     ladder.append(("calibrated", np.sqrt(proof_errors(problem, before))))
     ladder += [(_label(one.taken), np.sqrt(proof_errors(problem, one.taken.fit))) for one in rounds if one.taken is not None]
-    fit, rounds, told = exchanged(problem, fit, rounds)
+    fit, rounds, told = exchanged(problem, fit, rounds, lambda n: done("exchanging names", n))
     ladder += [(label, np.sqrt(proof_errors(problem, one))) for label, one in told]
     taken = [one.taken for one in rounds if one.taken is not None]
     fit, kept = backward(problem, fit, [t.candidate for t in taken], rounds[0].errors)

@@ -36,7 +36,13 @@ def with_rough(
     return sorted([*others, *more], key=lambda t: -t.closed)
 
 
-def with_put_back(problem: Problem, fit: Fit, errors: Float[np.ndarray, "M"], trials: Sequence[Trial]) -> list[Trial]:
+def with_put_back(
+    problem: Problem,
+    fit: Fit,
+    errors: Float[np.ndarray, "M"],
+    trials: Sequence[Trial],
+    done: Callable[[int], object] = lambda n: None,
+) -> list[Trial]:
     """The trials; where none that passes closes as much as half of a real gap, also what hides in usual numbers.
 
     It is begun in all strengths beside the published numbers of the joint that is off most. Where those have made up for it, the
@@ -54,7 +60,11 @@ def with_put_back(problem: Problem, fit: Fit, errors: Float[np.ndarray, "M"], tr
         near, one = pair
         return judged(problem, gone_on(fit, near, acted_on(one.candidate)), errors, one)
 
-    return best_of_each([*trials, *side_by_side(finished, hopeful, problem.settings.threads)])
+    more = []
+    for trial in side_by_side(finished, hopeful, problem.settings.threads):
+        more.append(trial)
+        done(1)
+    return best_of_each([*trials, *more])
 
 
 def is_wanting(problem: Problem, errors: Float[np.ndarray, "M"], trials: Sequence[Trial]) -> bool:

@@ -41,7 +41,7 @@ def test_a_delay_gives_way_to_a_lag_that_closes_half_of_what_is_left_beside_a_sp
     fit, found, told = exchange.exchanged(PROBLEM, SimpleNamespace(rms=2.0), rounds("actuator_delay", "spring"))
     assert [one.taken and one.taken.candidate.effect for one in found] == ["actuator_lag", "spring", None]
     assert [t.candidate.effect for t in found[0].trials] == ["actuator_lag", "actuator_delay"]
-    assert [label for label, _ in told] == ["actuator_lag[pan] for actuator_delay[pan]"]
+    assert [label for label, _ in told] == ["actuator_lag[pan] instead"]
     assert fit.rms == 1.0
 
 

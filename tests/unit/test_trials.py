@@ -349,7 +349,7 @@ def _rounds(monkeypatch: pytest.MonkeyPatch, left: list[float], joint_errors: li
         "try_best": lambda problem, fit, errors, scored, done: [_trial("spring", 0.3)],
         "with_bold": lambda problem, fit, errors, trials, done: trials,
         "with_rough": lambda problem, fit, errors, trials, done: trials,
-        "with_put_back": lambda problem, fit, errors, trials: trials,
+        "with_put_back": lambda problem, fit, errors, trials, done: trials,
         "with_confusable": lambda problem, fit, errors, scored, trials, done: trials,
         "settled": lambda problem, fit, errors, trials: trials,
         "restarted": lambda problem, errors, trials: trials,
