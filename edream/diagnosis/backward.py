@@ -17,6 +17,7 @@ from edream.sim.least_squares import worth
 
 BOUND = 1e-3  # of the unit box: nearer, a number sits at its bound
 ROUNDING = 1e-9  # a bound of a box that went through its logarithm
+NEARER = 0.95  # of a fit's error: what is left without a candidate where the fit stands in a false valley
 
 
 def backward(problem: Problem, fit: Fit, named: Sequence[Candidate], first: Float[np.ndarray, "M"]) -> tuple[Fit, list[Candidate]]:
@@ -66,6 +67,16 @@ def is_away(fit: Fit, parameter: Parameter) -> bool:
     unit = float(fit.unit[fit.space.names.index(parameter.name)])  # in the box that is searched, logarithmic for a limit
     excludes = parameter.absent is not None and not low - ROUNDING * abs(low) <= parameter.absent <= high + ROUNDING * abs(high)
     return excludes and BOUND <= unit <= 1.0 - BOUND
+
+
+def nearer_without(fit: Fit, trials: Sequence[Trial]) -> Fit | None:
+    """The fit gone down from the numbers that some candidate found, without it; None where those are no nearer to the motions.
+
+    Numbers that meet the motions better than the fit's, with nothing added, prove that the fit stands in a false valley, and that
+    candidates gained by leaving it.
+    """
+    bare = min((without(trial.fit, trial.candidate) for trial in trials), key=lambda one: one.rms, default=None)
+    return descend(bare, None, 8) if bare is not None and bare.rms < NEARER * fit.rms else None
 
 
 def refitted_without(problem: Problem, fit: Fit, *candidates: Candidate) -> Fit:

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from edream.catalog import load
 from edream.core.effect import Effect
 from edream.diagnosis.astray import screen_twice
-from edream.diagnosis.backward import passes, stands, without
+from edream.diagnosis.backward import nearer_without, passes, stands, without
 from edream.diagnosis.candidates import Candidate, acted_on, confused_with, placement, untouched
 from edream.diagnosis.descent import Fit, begin, descend, polish
 from edream.diagnosis.ends import SHAPES, arrived, begun_again, to_their_ends
@@ -88,7 +88,7 @@ def forward(
         effects were reached.
     """
     rounds: list[Round] = []
-    for _ in range(problem.settings.most):
+    while len(rounds) < problem.settings.most:
         problem, fit = with_short_steps(problem, fit)
         errors = predicted(problem, fit, rounds[-1].taken if rounds else None)
         first = rounds[0].errors if rounds else errors
@@ -99,6 +99,9 @@ def forward(
             break
         scored = screen_twice(problem, fit, lambda n: done("screening", n))
         trials = try_best(problem, fit, errors, scored, lambda n: done("refitting", n))
+        if (nearer := nearer_without(fit, trials)) is not None:
+            fit = nearer  # so much nearer that this ends
+            continue
         if not rounds:  # later ones begin at numbers that make up for less
             trials = with_bold(problem, fit, errors, trials, lambda n: done("searching", n))
         trials = with_rough(problem, fit, errors, trials, lambda n: done("searching", n))

@@ -347,6 +347,7 @@ def _rounds(monkeypatch: pytest.MonkeyPatch, left: list[float], joint_errors: li
         "predicted": lambda problem, fit, taken: np.full(6, next(remaining)),
         "screen_twice": lambda problem, fit, done: [],
         "try_best": lambda problem, fit, errors, scored, done: [_trial("spring", 0.3)],
+        "nearer_without": lambda fit, trials: None,
         "with_bold": lambda problem, fit, errors, trials, done: trials,
         "with_rough": lambda problem, fit, errors, trials, done: trials,
         "with_put_back": lambda problem, fit, errors, trials, done: trials,
