@@ -76,7 +76,10 @@ def nearer_without(fit: Fit, trials: Sequence[Trial]) -> Fit | None:
     candidates gained by leaving it.
     """
     bare = min((without(trial.fit, trial.candidate) for trial in trials), key=lambda one: one.rms, default=None)
-    return descend(bare, None, 8) if bare is not None and bare.rms < NEARER * fit.rms else None
+    if bare is None or bare.rms >= NEARER * fit.rms:
+        return None
+    ended = descend(bare, None, 8)
+    return ended if ended.rms < NEARER * fit.rms else None  # priors may have led away again
 
 
 def refitted_without(problem: Problem, fit: Fit, *candidates: Candidate) -> Fit:

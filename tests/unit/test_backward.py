@@ -75,14 +75,16 @@ def test_what_is_left_alone_has_the_first_rounds_candidates_for_rivals(monkeypat
     ]
 
 
-@pytest.mark.parametrize(("left", "moves"), [((0.4, 0.02), True), ((0.96, 1.2), False), ((), False)])
+@pytest.mark.parametrize(
+    ("left", "end", "moves"), [((0.4, 0.02), 0.01, True), ((0.4, 0.02), 0.99, False), ((0.96, 1.2), 0.5, False), ((), 0.5, False)]
+)
 def test_a_fit_leaves_a_valley_that_candidates_show_to_be_false(
-    monkeypatch: pytest.MonkeyPatch, left: tuple[float, ...], moves: bool
+    monkeypatch: pytest.MonkeyPatch, left: tuple[float, ...], end: float, moves: bool
 ) -> None:
     """On arms driven by torques every candidate closed 99 % of a gap, and none of it was its own: they had only begun elsewhere."""
     bare = {number: SimpleNamespace(rms=error) for number, error in enumerate(left)}
     trials = [SimpleNamespace(fit=number, candidate=PAYLOAD) for number in bare]
     monkeypatch.setattr(steps, "without", lambda fit, candidate: bare[fit])
-    monkeypatch.setattr(steps, "descend", lambda fit, fresh, most: ("down from", fit.rms))
+    monkeypatch.setattr(steps, "descend", lambda fit, fresh, most: SimpleNamespace(rms=end, begun=fit))
     found = steps.nearer_without(SimpleNamespace(rms=1.0), trials)  # type: ignore[arg-type]
-    assert found == (("down from", min(left)) if moves else None)
+    assert found == (SimpleNamespace(rms=end, begun=bare[1]) if moves else None)
