@@ -83,6 +83,8 @@ def forward(
 ) -> tuple[Problem, Fit, list[Round]]:
     """Add effects while they pass, the best on left-out motions first; before each, steps are made as short as they need to be.
 
+    The first round begins anew as long as candidates show that the usual numbers stand in a false valley.
+
     Returns:
         The problem with the steps that were taken, the final fit, and every round, the last of which took nothing unless the most
         effects were reached.
@@ -99,7 +101,8 @@ def forward(
             break
         scored = screen_twice(problem, fit, lambda n: done("screening", n))
         trials = try_best(problem, fit, errors, scored, lambda n: done("refitting", n))
-        if (nearer := nearer_without(fit, trials)) is not None:
+        # beside names that were taken it would ask whether those still stand
+        if not rounds and (nearer := nearer_without(fit, trials)) is not None:
             fit = nearer  # so much nearer that this ends
             continue
         if not rounds:  # later ones begin at numbers that make up for less

@@ -1,6 +1,6 @@
 """Candidates refitted: from where the score test puts each, with all nuisance numbers free, judged on motions left out."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -126,12 +126,19 @@ def try_best(
     likeliest = [one.candidate for one in scored[:1]]
     hopeful += [pair for pair in begun if pair[1].candidate in likeliest and pair not in hopeful]
     astray = bool(off) or led_astray(problem, fit)
+    return sorted(finished(problem, fit, errors, hopeful, astray), key=lambda t: -t.closed)
 
-    def finished(pair: tuple[Fit, Scored]) -> Trial:
+
+def finished(
+    problem: Problem, fit: Fit, errors: Float[np.ndarray, "M"], begun: Sequence[tuple[Fit, Scored]], renewed: bool = True
+) -> Iterable[Trial]:
+    """Candidates that were begun, gone on with beside `fit` and judged; `renewed` differences their joints' usual numbers, too."""
+
+    def one_by_one(pair: tuple[Fit, Scored]) -> Trial:
         near, one = pair
-        return judged(problem, gone_on(fit, near, acted_on(one.candidate) if astray else frozenset()), errors, one)
+        return judged(problem, gone_on(fit, near, acted_on(one.candidate) if renewed else frozenset()), errors, one)
 
-    return sorted(side_by_side(finished, hopeful, threads), key=lambda t: -t.closed)
+    return side_by_side(one_by_one, begun, problem.settings.threads)
 
 
 def nearly_closed(problem: Problem, before: Fit, left: float) -> bool:

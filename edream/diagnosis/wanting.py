@@ -6,15 +6,13 @@ import numpy as np
 from jaxtyping import Float
 
 from edream.diagnosis.backward import passes
-from edream.diagnosis.candidates import acted_on
 from edream.diagnosis.descent import Fit
 from edream.diagnosis.left_out import HALF, is_real, worst_joint
 from edream.diagnosis.problem import Problem
 from edream.diagnosis.rough import rough_candidates, searched
 from edream.diagnosis.screen import Scored
-from edream.diagnosis.side_by_side import side_by_side
 from edream.diagnosis.starts import in_all_strengths_beside_published
-from edream.diagnosis.trials import HOPELESS, Trial, begun_in_all_strengths, best_of_each, gone_on, judged, on_few
+from edream.diagnosis.trials import HOPELESS, Trial, begun_in_all_strengths, best_of_each, finished, judged, on_few
 
 
 def with_rough(
@@ -55,13 +53,8 @@ def with_put_back(
     gains = [1.0 - (near.rms / few.rms) ** 2 for near, _ in begun]
     least = max(HOPELESS * max(gains, default=0.0), 0.0)
     hopeful = [pair for pair, gain in zip(begun, gains, strict=True) if gain > least]
-
-    def finished(pair: tuple[Fit, Scored]) -> Trial:
-        near, one = pair
-        return judged(problem, gone_on(fit, near, acted_on(one.candidate)), errors, one)
-
     more = []
-    for trial in side_by_side(finished, hopeful, problem.settings.threads):
+    for trial in finished(problem, fit, errors, hopeful):
         more.append(trial)
         done(1)
     return best_of_each([*trials, *more])
