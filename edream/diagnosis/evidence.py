@@ -14,6 +14,7 @@ from edream.diagnosis.problem import Problem
 from edream.diagnosis.verdict import Diagnosis
 from edream.sim.followers import Followers
 from edream.sim.rollout import rollout
+from edream.sim.servo import asked_positions
 from edream.sim.simulation import SimulatedRobot
 from edream.sim.window import Window
 
@@ -21,10 +22,10 @@ from edream.sim.window import Window
 def evidence(found: Diagnosis) -> Mapping[str, Any]:
     """Tables by file name.
 
-    `traces.parquet`: never-fitted motions, one row a (motion, joint, time): command, measured, published, before, after [rad],
-    speed [rad/s] and gravity load [N m]. `errors.json`: root-mean-square error by motion and joint, before and after, over all
-    motions. `ladder.json`: error on never-fitted motions after each added effect. `ranking.json`: every round's candidates.
-    `nuisance.json`: nuisance numbers published, before and after, with intervals.
+    `traces.parquet`: never-fitted motions, one row a (motion, joint, time): command (NaN where it is no position), measured,
+    published, before, after [rad], speed [rad/s] and gravity load [N m]. `errors.json`: root-mean-square error by motion and
+    joint, before and after, over all motions. `ladder.json`: error on never-fitted motions after each added effect.
+    `ranking.json`: every round's candidates. `nuisance.json`: nuisance numbers published, before and after, with intervals.
     """
     problem = found.problem
     return {
@@ -64,14 +65,14 @@ def _traces(found: Diagnosis) -> pa.Table:
         episode, times = window.episode, window.times
         rows = episode.in_force(episode.times[window.first : window.last + 1])
         speed = np.gradient(window.measured, times, axis=0)
-        load = gravity_load(problem, window)
+        load, asked = gravity_load(problem, window), asked_positions(problem.robot.model, episode.joints, episode.command[rows])
         for joint in problem.joints:
             j = episode.joints.index(joint)
             columns = {
                 "motion": np.full(len(times), episode.name),
                 "joint": np.full(len(times), joint),
                 "time": times,
-                "command": episode.command[rows, j],
+                "command": asked[:, j],
                 "measured": window.measured[:, j],
                 **{name: versions[name][number][:, j] for name in versions},
                 "speed": speed[:, j],

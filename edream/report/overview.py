@@ -150,7 +150,8 @@ def _overlay(trace: Trace, word: str) -> Figure:
 
 def positions(axis: Any, seen: Trace) -> None:
     """Command, measured, before and after in their colours."""
-    axis.plot(seen.time, seen.command, color=COMMAND, linewidth=1.0, label="command")
+    if seen.follows:
+        axis.plot(seen.time, seen.command, color=COMMAND, linewidth=1.0, label="command")
     axis.plot(seen.time, seen.measured, color=MEASURED, linewidth=2.0, label="measured")
     axis.plot(seen.time, seen.before, color=BEFORE, label="before")
     axis.plot(seen.time, seen.after, color=AFTER, linestyle=(0, (4, 1.5)), label="after")

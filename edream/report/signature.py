@@ -51,6 +51,9 @@ def signature(effect: str, targets: Sequence[str], traces: Sequence[Trace]) -> l
     own = _worst_joint(_loaded(chosen) if kind == "load" else chosen)
     if not own:
         return []
+    if kind != "spectrum" and not own[0].follows:  # nothing follows a torque
+        ways = [kind, "speed", "position"] if kind == "load" else ["speed", "position"]
+        return [_left(effect, own, along) for along in ways]
     if kind in ALONG:
         return [
             _loops(effect, own, kind),

@@ -16,7 +16,7 @@ class Trace:
     Attributes:
         motion, joint: whose it is.
         time: since the motion began [s].
-        command, measured, before, after: positions; `before` and `after` are simulated.
+        command, measured, before, after: positions; `before` and `after` are simulated, `command` is NaN where it is no position.
         load: torque of gravity [N m], or None where it is not known.
     """
 
@@ -33,6 +33,11 @@ class Trace:
     def speed(self) -> Float[np.ndarray, "T"]:
         """Measured speed [rad/s], smoothed over five measurements."""
         return _smooth(np.gradient(self.measured, self.time))
+
+    @property
+    def follows(self) -> bool:
+        """Whether the joint is asked for positions, and not for a torque or a speed."""
+        return bool(np.isfinite(self.command).any())
 
     def error(self, side: str) -> Float[np.ndarray, "T"]:
         """Simulated less measured [rad]."""

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from edream.core.effect import MEASURED_SUFFIX, MOTOR_SUFFIX, Fields, joint_index
+from edream.core.effect import MEASURED_SUFFIX, MOTOR_SUFFIX, Fields, holds_position, joint_index
 from edream.core.errors import EdreamError
 from edream.core.parameters import Parameter
 
@@ -98,6 +98,11 @@ def places(model: mujoco.MjModel, joints: Sequence[str], readings: Float[np.ndar
     gears = geared_readings(model, joints)
     factor = [float(model.actuator_gear[gears[joint], 0]) if joint in gears else 1.0 for joint in joints]
     return readings / np.array(factor)
+
+
+def asked_positions(model: mujoco.MjModel, joints: Sequence[str], commands: Float[np.ndarray, "T J"]) -> Float[np.ndarray, "T J"]:
+    """Commands [rad or m]; NaN for joints whose actuators take a torque or a speed, which no position can be held against."""
+    return np.where([holds_position(model, joint) for joint in joints], commands, np.nan)
 
 
 def damping_inside(model: mujoco.MjModel, targets: Sequence[str]) -> Parameter:

@@ -30,6 +30,7 @@ from edream.sim.emit import emit
 from edream.sim.objective import Objective
 from edream.sim.polish import finish
 from edream.sim.robot import RobotModel
+from edream.sim.servo import asked_positions
 from edream.sim.simulation import SimulatedRobot
 from edream.sim.touch import kept_clear
 from edream.sim.window import whole
@@ -193,16 +194,16 @@ def overlays(
     joints = len(simulated.robot.joints)
 
     def lists(parts: Sequence[np.ndarray]) -> pa.Array:
-        flat = np.nan_to_num(np.concatenate(parts)).astype(np.float32).ravel()
+        flat = np.concatenate(parts).astype(np.float32).ravel()
         return pa.FixedSizeListArray.from_arrays(pa.array(flat, pa.float32()), joints)
 
     names = pa.array([w.episode.name for w in windows for _ in range(len(w.times))])
     clock = pa.array(np.concatenate([w.times for w in windows]))
     columns = {
         "measured": [w.measured for w in windows],
-        "command": [commanded(w) for w in windows],
-        "before": before,
-        "after": after,
+        "command": [asked_positions(published.model, published.joints, commanded(w)) for w in windows],
+        "before": [np.nan_to_num(one) for one in before],
+        "after": [np.nan_to_num(one) for one in after],
     }
     return pa.table({"episode": names, "time": clock, **{name: lists(parts) for name, parts in columns.items()}})
 
@@ -257,5 +258,5 @@ def sources(config: FitConfig) -> Mapping[str, Source]:
 
 
 ENTRY = Stage(
-    name="fit", version=28, needs=needs, config=FitConfig, run=run, sources=sources, numerics=("mujoco", "scipy", "cma", "torch")
+    name="fit", version=29, needs=needs, config=FitConfig, run=run, sources=sources, numerics=("mujoco", "scipy", "cma", "torch")
 )

@@ -2,6 +2,7 @@
 
 import re
 from html.parser import HTMLParser
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from edream.diagnosis.evidence import usual_number
 from edream.diagnosis.set_up import how_to_record
 from edream.report.calibration import calibration_page
 from edream.report.diagnosis import diagnosis_page, next_motion
-from edream.report.overview import interval
+from edream.report.overview import interval, positions
 from edream.report.page import draw, mrad, number
 from edream.report.signature import SHOWS, signature
 from edream.report.traces import Trace, worst_stretch
@@ -275,6 +276,20 @@ def test_every_kind_of_effect_has_its_picture(effect: str) -> None:
     assert figures
     for figure in figures:
         assert "[" in figure.drawing or figure.drawing.startswith("<img")
+
+
+@pytest.mark.parametrize("effect", ["stribeck", "load_friction", "torque_limit", "actuator_delay", "gain_fade", "never_heard_of"])
+def test_what_torques_drive_is_drawn_without_a_following_error(effect: str) -> None:
+    """A torque in N m less a position in rad was drawn as milliradians."""
+    rows = [{k: v for k, v in row.items() if k not in ("published", "speed")} for row in traces_of(motions=2)]
+    traces = [Trace(**{**row, "command": np.full(len(row["time"]), np.nan)}) for row in rows]
+    figures = signature(effect, ("lift",), traces)
+    assert figures and all("what is left along" in figure.title for figure in figures)
+    assert not any("command less position" in figure.drawing for figure in figures)
+    axis = SimpleNamespace(plot=lambda *values, label, **style: drawn.append(label))
+    drawn: list[str] = []
+    positions(axis, traces[0])
+    assert drawn == ["measured", "before", "after"]
 
 
 def test_an_effect_of_the_load_is_drawn_on_a_joint_that_gravity_loads() -> None:
