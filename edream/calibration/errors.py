@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from edream.calibration.pose import Chain, pose_error
+from edream.core.effect import holds_position
 from edream.core.episode import Episode
 from edream.sim.rollout import rollout
 from edream.sim.simulation import SimulatedRobot
@@ -52,9 +53,11 @@ def replayed(simulated: SimulatedRobot, values: np.ndarray, windows: Sequence[Wi
 
 def perfect_tracking(
     simulated: SimulatedRobot, episodes: Sequence[Episode], joints: np.ndarray, until: float | None
-) -> dict[str, Any]:
-    """The errors of a robot that is always where it is told to be."""
-    windows = whole(episodes, until)
+) -> dict[str, Any] | None:
+    """The errors of a robot that is always where it is told to be; None where some joint is told a torque or a speed."""
+    robot, windows = simulated.robot, whole(episodes, until)
+    if not all(holds_position(robot.model, joint) for joint in robot.joints):
+        return None
     return summary(simulated, [commanded(window) for window in windows], windows, joints)
 
 
@@ -78,10 +81,11 @@ def summary(
     return {**_row([e[:, joints] for e in errors], shifts, turns), "per_joint": per_joint, "per_episode": per_episode}
 
 
-def before_and_after(after: Mapping[str, Any], before: Mapping[str, Any], perfect: Mapping[str, Any]) -> dict[str, Any]:
-    """One side of the split as the result prints it."""
+def before_and_after(after: Mapping[str, Any], before: Mapping[str, Any], perfect: Mapping[str, Any] | None) -> dict[str, Any]:
+    """One side of the split as the result prints it; `perfect_tracking` is None where no robot could do that."""
     short = ("joint_rmse_rad", "translation_m", "rotation_rad", "per_joint", "per_episode")
-    return {**after, "before": dict(before), "perfect_tracking": {name: perfect[name] for name in short}}
+    shown = {name: perfect[name] for name in short} if perfect else None
+    return {**after, "before": dict(before), "perfect_tracking": shown}
 
 
 def _row(errors: Sequence[np.ndarray], shifts: Sequence[np.ndarray], turns: Sequence[np.ndarray]) -> dict[str, float]:

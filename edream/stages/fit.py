@@ -246,6 +246,8 @@ def comparison(judge: Mapping[str, Any]) -> list[dict[str, Any]]:
     sides = {"published": judge["before"], "calibrated": judge, "perfect tracking": judge["perfect_tracking"]}
     rows = []
     for name, errors in sides.items():
+        if errors is None:
+            continue
         row = {"model": name, "whole [rad]": errors["joint_rmse_rad"]}
         spans = {span: at for span, at in errors.get("by_horizon", {}).items() if span != "whole"}
         row |= {f"{span} [rad]": at["joint_rmse_rad"] for span, at in spans.items()}
@@ -258,5 +260,5 @@ def sources(config: FitConfig) -> Mapping[str, Source]:
 
 
 ENTRY = Stage(
-    name="fit", version=29, needs=needs, config=FitConfig, run=run, sources=sources, numerics=("mujoco", "scipy", "cma", "torch")
+    name="fit", version=30, needs=needs, config=FitConfig, run=run, sources=sources, numerics=("mujoco", "scipy", "cma", "torch")
 )

@@ -60,10 +60,9 @@ def run(inputs: Mapping[str, Artifact], config: ReplayConfig, work: Work) -> Bun
     scaled = scalings(config.robot.scaled, episodes)
     found = replay(config.robot.load(), episodes, options.joints, options.until, options.hook, scaled=scaled)
     count = f"{len(episodes)} motions" if len(episodes) != 1 else "1 motion"
-    sentence = (
-        f"Open-loop replay of {count}: {found['rmse_rad']:.4g} rad; a robot that tracked perfectly would score "
-        f"{found['perfect_tracking_rmse_rad']:.4g} rad."
-    )
+    perfect = found["perfect_tracking_rmse_rad"]
+    beside = "" if perfect is None else f"; a robot that tracked perfectly would score {perfect:.4g} rad"
+    sentence = f"Open-loop replay of {count}: {found['rmse_rad']:.4g} rad{beside}."
     return {"summary.json": {"sentence": sentence, **found}}
 
 
@@ -87,9 +86,9 @@ def replay(
         scaled: parameter "effect.quantity" -> the recorded condition that multiplies what the MJCF has.
 
     Returns:
-        `rmse_rad`, `mae_rad`, `translation_m`, `rotation_rad` (end effector, root mean square), `perfect_tracking_rmse_rad`;
-        `end_effector`: the site or body that was taken for it; `per_joint` and `per_episode` with `rmse_rad` and `mae_rad` each;
-        `unstable`: motions on which the simulation blew up.
+        `rmse_rad`, `mae_rad`, `translation_m`, `rotation_rad` (end effector, root mean square); `perfect_tracking_rmse_rad`,
+        None where commands are no positions; `end_effector`: the site or body that was taken for it; `per_joint` and
+        `per_episode` with `rmse_rad` and `mae_rad` each; `unstable`: motions on which the simulation blew up.
 
     Raises:
         EdreamError: a joint is unknown, there is nothing to score, or the hook cannot be loaded.
@@ -109,7 +108,7 @@ def replay(
         **_scores(every[:, counted]),
         "translation_m": table["translation_m"],
         "rotation_rad": table["rotation_rad"],
-        "perfect_tracking_rmse_rad": perfect["joint_rmse_rad"],
+        "perfect_tracking_rmse_rad": perfect["joint_rmse_rad"] if perfect else None,
         "per_joint": {name: _scores(every[:, i]) for i, name in enumerate(robot.joints)},
         "per_episode": {w.episode.name: _scores(e[:, counted]) for w, e in zip(windows, errors, strict=True)},
         "end_effector": Chain(robot).end,
@@ -145,4 +144,4 @@ def _scores(errors: np.ndarray) -> dict[str, float]:
     return {"rmse_rad": float(np.sqrt(np.mean(np.square(errors)))), "mae_rad": float(np.mean(np.abs(errors)))}
 
 
-ENTRY = Stage("replay", 7, ("ingest",), ReplayConfig, run, sources, ("mujoco", "numpy"))
+ENTRY = Stage("replay", 8, ("ingest",), ReplayConfig, run, sources, ("mujoco", "numpy"))

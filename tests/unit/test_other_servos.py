@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from edream.calibration.errors import before_and_after, perfect_tracking, summary
 from edream.catalog import load
 from edream.core.effect import Effect, State, holds_position
 from edream.core.episode import Episode
@@ -21,8 +22,11 @@ from edream.diagnosis.screen import screen
 from edream.effects.load_friction import load_friction
 from edream.sim.robot import RobotModel, load_robot
 from edream.sim.rollout import rollout
+from edream.sim.servo import asked_positions
 from edream.sim.simulation import Placement, SimulatedRobot
 from edream.sim.window import whole
+from edream.stages.fit import comparison
+from edream.stages.replay import replay
 
 POSITION_ONLY = {
     "backlash", "compliance", "dead_zone", "derivative_gain", "gear_ratio", "integral_action", "slew_limit",
@@ -105,6 +109,19 @@ def test_where_only_some_joints_hold_a_position_the_others_are_spared() -> None:
     with pytest.raises(EdreamError, match="a, b are tied, but only some hold a position"):
         load("effects", "servo_gain", Effect).parameters(looked_at.robot.model, ("a", "b"))
     assert Candidate("dead_zone", ("a",)) not in asked
+
+
+@pytest.mark.parametrize("kind", ["motor", "velocity", "mixed"])
+def test_a_torque_or_a_speed_is_no_position_to_be_at(kind: str) -> None:
+    """A robot that tracked its torques perfectly was said to be off by 1.24 rad."""
+    robot, episodes = _robot(kind), _recorded(kind, 0.0, 1)
+    simulated, windows = SimulatedRobot(robot, ()), whole(episodes, None)
+    assert perfect_tracking(simulated, episodes, np.ones(2, dtype=bool), None) is None
+    judge = before_and_after(*([summary(simulated, [w.measured for w in windows], windows, np.ones(2, dtype=bool))] * 2), None)
+    assert [row["model"] for row in comparison(judge)] == ["published", "calibrated"]
+    assert replay(robot, episodes)["perfect_tracking_rmse_rad"] is None
+    asked = asked_positions(robot.model, robot.joints, episodes[0].command)
+    assert np.isnan(asked[:, 0]).all() and np.isfinite(asked[:, 1]).all() == (kind == "mixed")
 
 
 HAND = """<mujoco><worldbody><body name="upper"><joint name="a" axis="0 1 0"/><geom size="0.03"/>
