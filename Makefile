@@ -168,7 +168,7 @@ bench-steps: .venv/ready
 
 check: .venv/ready-dev
 	$(RUN)/ruff check edream tests
-	$(RUN)/pyright
+	$(RUN)/pyright --pythonpath $(RUN)/python
 	$(RUN)/python -m pytest -q tests/test_house.py
 
 .venv/ready: pyproject.toml constraints.txt
