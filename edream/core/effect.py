@@ -77,6 +77,8 @@ class Effect(ABC):
             comes after them.
         of_type: whether its numbers belong to a type of hardware, so that joints of one type may share them, rather than to one
             assembly, as a zero offset does.
+        beyond: whether it has the links beyond its joint elsewhere than readings say, which changes what they weigh on other joints
+            as much as on its own: the score test then asks each joint by itself.
         rough: whether its error has many valleys, so that a descent needs a search before it.
         local: whether it acts around one place of the joint's travel, so that its probes lie where the motions went;
             `probes` then gets a model whose joints range as far as those.
@@ -96,6 +98,7 @@ class Effect(ABC):
     local: bool = False
     phase: str | None = None
     of_type: bool = True
+    beyond: bool = False
     of_position_servo: bool = False
     special: tuple[str, str, float] | None = None
     finer: "Effect | None" = None

@@ -153,7 +153,10 @@ def unexplained_by(fit: Fit) -> Unexplained:
 
 
 def _probe_round(problem: Problem, fit: Fit, candidates: Sequence[Candidate], total: float) -> list[Scored]:
-    """All candidates of a round probed at once; each is judged on the residual of its own joint, a hardware group on all of its."""
+    """All candidates of a round probed at once; each is judged on the residual of its own joint, a hardware group on all of its.
+
+    Where what one of them does shows on the joints of others, this tells of their groups alone.
+    """
     placements = [placement(problem, c) for c in candidates]
     extended, absent = extend(fit, placements)
     probes = [probes_of(problem, p) for p in placements]
@@ -163,7 +166,8 @@ def _probe_round(problem: Problem, fit: Fit, candidates: Sequence[Candidate], to
     changes = residuals[1:] - residuals[0]
     present = fit.objective.simulated.placements
     groups = [group for group in groups_of(problem, candidates) if not acts_already(group, present)]
-    return [scored_probes(problem, fit, c, residuals[0], changes, total) for c in (*candidates, *groups)]
+    mixed = len(candidates) > 1 and placements[0].effect.beyond
+    return [scored_probes(problem, fit, c, residuals[0], changes, total) for c in (*(() if mixed else candidates), *groups)]
 
 
 def with_scan(problem: Problem, fit: Fit, finalists: Sequence[Scored]) -> list[Scored]:

@@ -294,7 +294,7 @@ def reaching(problem: Problem, fit: Fit, group: tuple[str, ...]) -> list[Scored]
 
 def placed_at(problem: Problem, fit: Fit, targets: Sequence[str], effects: Sequence[Effect]) -> list[Scored]:
     """Those of some effects that can act on these joints and do not yet, begun at their first probes."""
-    there = [c for one in rounds(problem, effects) for c in one if c.targets == tuple(targets)]
+    there = dict.fromkeys(c for one in rounds(problem, effects) for c in one if c.targets == tuple(targets))
     fresh = [c for c in there if not acts_already(c, fit.objective.simulated.placements) and fits_beside(problem, fit, [c])]
     return [Scored(c, probes_of(problem, placement(problem, c))[0], 0.0) for c in fresh]
 

@@ -34,7 +34,7 @@ class _Hand:
         low, high = joint_range(model)
         full = high - low
         is_hinge = np.asarray(model.jnt_type) == int(mujoco.mjtJoint.mjJNT_HINGE)
-        margin = np.where(is_hinge, np.clip(0.15 * full, 0.1, 0.4), 0.12 * full)
+        margin = np.where(is_hinge, np.minimum(np.clip(0.15 * full, 0.1, 0.4), 0.25 * full), 0.12 * full)
         # Three radians about the middle: teleoperators stay there, and it keeps fast reaches at human speed.
         middle, half = 0.5 * (low + high), np.minimum(0.5 * full - margin, np.where(is_hinge, 1.5, np.inf))
         self.low, self.high = middle - half, middle + half

@@ -5,6 +5,7 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -72,6 +73,15 @@ def test_commands_stay_clear_of_the_joint_limits_and_move_every_joint(robot) -> 
     assert rows.shape == (12, 500, len(robot.joints))
     assert (rows > low + 0.05 * (high - low)).all() and (rows < high - 0.05 * (high - low)).all()
     assert (np.ptp(rows, axis=(0, 1)) > 0.3 * (high - low)).all()
+
+
+def test_a_joint_that_hardly_turns_is_moved_within_its_room() -> None:
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><worldbody><body><joint name="a" range="-2 2"/><geom size="0.1"/></body></worldbody></mujoco>'
+    )
+    low, high = joint_range(model)
+    rows = commands(model, np.random.default_rng(0), 2, 3.0, 50.0)
+    assert (rows > low).all() and (rows < high).all() and np.ptp(rows) > 0.1 * (high - low)
 
 
 def test_recordings_show_encoder_steps_noise_and_a_rising_jittery_clock() -> None:

@@ -1,5 +1,7 @@
 """The score test: which effect it points at."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -12,6 +14,7 @@ from edream.diagnosis.problem import Settings, prepare
 from edream.diagnosis.screen import screen, waves
 from edream.reality.recorder import Recorder, make_recordings
 from edream.reality.truth import draw
+from edream.sim.robot import load_robot
 
 
 @pytest.mark.parametrize("phase", [-2.5, -0.4, 1.0, 3.0])
@@ -37,3 +40,24 @@ def test_the_score_test_points_at_a_torque_limit_far_below_where_a_servo_has_non
     first = screen(looked_at, fit_nuisance(looked_at))[0]
     assert (first.candidate.effect, first.candidate.targets) == ("torque_limit", truth.effects[0].targets)
     assert first.start["torque"] == pytest.approx(truth.effects[0].values["torque"], rel=0.2)
+
+
+FOLDING = """<mujoco><worldbody><body name="upper"><joint name="a" axis="0 1 0" damping="0.1" armature="0.02"
+    frictionloss="0.05" range="-99 99"/><geom type="capsule" fromto="0 0 0 0.4 0 0" size="0.03"/>
+  <body name="lower" pos="0.4 0 0"><joint name="b" axis="0 -1 0" damping="0.1" armature="0.02" frictionloss="0.05" range="-99 99"/>
+    <geom type="capsule" fromto="0 0 0 0.4 0 0" size="0.03"/></body></body></worldbody>
+  <actuator><position name="a" joint="a" kp="120" kv="4"/><position name="b" joint="b" kp="60" kv="2"/></actuator></mujoco>"""
+
+
+def test_a_zero_offset_is_asked_of_each_joint_by_itself(tmp_path: Path) -> None:
+    """Both joints off at once, each the other way round, leave the outer link where it was, and its load as it was."""
+    (tmp_path / "folding.xml").write_text(FOLDING, encoding="utf-8")
+    robot = load_robot(tmp_path / "folding.xml")
+    truth = draw(robot, ("encoder_offset",), np.random.default_rng(1), 0.3, ())
+    made = make_recordings(robot, truth, 1, 6, 5.0, Recorder())
+    episodes = [Episode(r.name, robot.joints, r.times, r.position, r.command_times, r.command) for r in made]
+    looked_at = prepare(robot, episodes, Settings(effects=("encoder_offset", "gear_ratio", "spring", "constant_torque")))
+    first = screen(looked_at, fit_nuisance(looked_at))[0]
+    assert truth.effects[0].targets == ("b",)
+    assert (first.candidate.effect, first.candidate.targets) == ("encoder_offset", ("b",))
+    assert first.start["angle"] == pytest.approx(truth.effects[0].values["angle"], rel=0.2)
