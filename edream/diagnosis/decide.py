@@ -27,7 +27,7 @@ from edream.diagnosis.problem import Problem
 from edream.diagnosis.remainder import Remainder, find_remainder
 from edream.diagnosis.screen import Scored, extend
 from edream.diagnosis.side_by_side import side_by_side
-from edream.diagnosis.starts import fresh_columns, of_joints
+from edream.diagnosis.starts import fresh_columns, in_all_strengths_beside_published, of_joints
 from edream.diagnosis.steps import with_short_steps
 from edream.diagnosis.suspects import elsewhere
 from edream.diagnosis.trials import (
@@ -35,6 +35,8 @@ from edream.diagnosis.trials import (
     Trial,
     beside,
     best_of_each,
+    by_nearness,
+    descend_from,
     gone_on,
     is_usual,
     judged,
@@ -334,17 +336,29 @@ def heard(
     def refitted_there(one: Scored) -> Trial | None:
         joints = acted_on(one.candidate)
         begun = refitted(problem, few, one, iterations=FIRST_STEPS, joints=joints)
-        if 1.0 - (begun.rms / few.rms) ** 2 < FORLORN * most:
-            return None
-        begun = descend(begun, fresh_columns(few, begun.objective) | of_joints(begun.objective, joints), TWIN_STEPS - FIRST_STEPS)
-        hopeful = 1.0 - (begun.rms / few.rms) ** 2 >= HOPELESS * most
-        return judged(problem, gone_on(fit, begun, joints), errors, one) if hopeful else None
+        ends = [begun_beside_published(problem, few, one)] if joints else []
+        if 1.0 - (begun.rms / few.rms) ** 2 >= FORLORN * most:
+            own = fresh_columns(few, begun.objective) | of_joints(begun.objective, joints)
+            ends.append(descend(begun, own, TWIN_STEPS - FIRST_STEPS))
+        end = min(ends, key=lambda one: one.rms, default=few)
+        hopeful = 1.0 - (end.rms / few.rms) ** 2 >= HOPELESS * most
+        return judged(problem, gone_on(fit, end, joints), errors, one) if hopeful else None
 
     more = []
     for trial in side_by_side(refitted_there, twins, problem.settings.threads):
         more += [trial] if trial is not None else []
         done(1)
     return more
+
+
+def begun_beside_published(problem: Problem, few: Fit, one: Scored) -> Fit:
+    """A candidate gone down from the nearest of its strengths beside the published numbers of its joints.
+
+    Damping and inertia that have made up for a lag leave it no slope beside them.
+    """
+    _, start, _ = by_nearness(problem, few, [one], in_all_strengths_beside_published)[0]
+    extended, _ = extend(few, [placement(problem, one.candidate)])
+    return descend_from(few, extended, start, one.candidate, TWIN_STEPS)
 
 
 def rivals(problem: Problem, trials: Sequence[Trial], winner: Trial) -> list[tuple[Trial, bool]]:
