@@ -51,11 +51,17 @@ class State(Protocol):
     actuator_force: Float[np.ndarray, "N outputs"]
     gear_torque: Float[np.ndarray, "N nv"]
     gain: Float[np.ndarray, "N actuators"]
+    speed_gain: Float[np.ndarray, "N actuators"]
+    limits: Float[np.ndarray, "N actuators 2"]
     friction: Float[np.ndarray, "N nv"]
     torque: Float[np.ndarray, "N nv"]
 
     def recent(self, dof: int, seconds: float) -> Float[np.ndarray, "N"]:
         """How fast a joint has been lately [rad/s]: its speed's size, averaged with weights exp(-age / seconds)."""
+        ...
+
+    def let_through(self, index: Mapping[str, int], more: Float[np.ndarray, "N"]) -> Float[np.ndarray, "N"]:
+        """What gets through a position servo's limit of `more` torque than its law asks for [N m]."""
         ...
 
 

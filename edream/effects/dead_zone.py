@@ -14,7 +14,7 @@ def dead_zone(state: State, index: dict[str, int], values: dict[str, Any]) -> No
     """The servo gives no torque while its error is inside a band."""
     error = state.ctrl[:, index["ctrl"]] - state.qpos[:, index["drive_qpos"]]
     inside = np.clip(error, -values["width"], values["width"])
-    state.torque[:, index["drive"]] -= state.gain[:, index["actuator"]] * inside
+    state.torque[:, index["drive"]] += state.let_through(index, -state.gain[:, index["actuator"]] * inside)
 
 
 class DeadZone(Effect):
@@ -23,8 +23,8 @@ class DeadZone(Effect):
         tau = kp sign(e) max(|e| - w, 0),  e = u - q
 
     The joint rests anywhere within the band, also without load. A hook takes back what the servo gives inside the band, at the same
-    state as the servo's own law. Parameter: width w, half of the band [rad]. Source: Olsson et al., European J. of Control 4(3),
-    1998.
+    state as the servo's own law and within its limit. Parameter: width w, half of the band [rad]. Source: Olsson et al., European
+    J. of Control 4(3), 1998.
     """
 
     name = "dead_zone"

@@ -1,6 +1,7 @@
 """The hook file: what an MJCF cannot say, as a few lines of Python that need numpy and MuJoCo alone."""
 
 import inspect
+import re
 import textwrap
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -8,6 +9,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from edream.sim.limits import let_through, limits_of
 from edream.sim.rotor import has_rotor, wind_up
 from edream.sim.simulation import SimulatedRobot, late_last
 from edream.sim.start import SETTLED
@@ -52,21 +54,21 @@ def recent(state, dof, seconds):
 class One:
     """One MjData, seen as a batch of one."""
 
-    recent = recent
+    recent, let_through = recent, let_through
 
-    def __init__(self, model, data, memory):
+    def __init__(self, model, data, limits, memory):
         self.time, self.step, self.memory = np.array([data.time]), model.opt.timestep, memory
         self.qpos, self.qvel, self.ctrl = data.qpos[None], data.qvel[None], data.ctrl[None]
         self.qfrc_bias, self.actuator_force = data.qfrc_bias[None], data.actuator_force[None]
         self.gear_torque = (data.qfrc_smooth + data.qfrc_bias + data.qfrc_constraint - model.dof_armature * data.qacc)[None]
-        self.gain = -model.actuator_biasprm[None, :, 1]
+        self.gain, self.speed_gain, self.limits = -model.actuator_biasprm[None, :, 1], -model.actuator_biasprm[None, :, 2], limits
         self.friction, self.torque = model.dof_frictionloss[None], data.qfrc_applied[None]
 
 
 class Many:
     """A mujoco.batch.Batch: the same names, one row a simulation."""
 
-    recent = recent
+    recent, let_through = recent, let_through
 
     def __init__(self, batch):
         bind = batch.bind
@@ -77,6 +79,7 @@ class Many:
         self.friction, self.torque = batch.expand("dof_frictionloss"), bind("qfrc_applied")
         self.smooth, self.constraint, self.qacc = bind("qfrc_smooth"), bind("qfrc_constraint"), bind("qacc")
         self.armature = batch.expand("dof_armature")
+        self.limits = limits_of(batch.get_model(0), batch.expand("actuator_forcerange"))
 
     @property
     def time(self):
@@ -89,6 +92,10 @@ class Many:
     @property
     def gain(self):
         return -self.bias[:, :, 1]
+
+    @property
+    def speed_gain(self):
+        return -self.bias[:, :, 2]
 
 
 def addresses(model, joint):
@@ -182,6 +189,7 @@ def base_of(moved, friction):
 def make(model):
     """A function step(model, data) to be called before each mujoco.mj_step."""
     laws, last, memory = calls(model), [np.inf], {{}}
+    limits = limits_of(model, model.actuator_forcerange[None])
     base, written = base_of(model, model.dof_frictionloss)
 
     def step(model, data):
@@ -190,7 +198,7 @@ def make(model):
             begin(model, data)
             memory.clear()
         last[0] = data.time
-        apply(One(model, data, memory), base, laws)
+        apply(One(model, data, limits, memory), base, laws)
         written[:] = model.dof_frictionloss
 
     return step
@@ -243,8 +251,8 @@ def hook_text(simulated: SimulatedRobot, numbers: Sequence[Mapping[str, np.ndarr
     geared = any(has_rotor(model, joint) for joint in simulated.robot.joints)
     said = [text for text, true in ((STATEFUL, delayed or filtered), (GEARED, geared)) if true]
     head = HEAD.format(title=title, starts="\n".join(said)).replace('\n\n"""', '\n"""')
-    if geared:
-        sources[wind_up.__name__] = "\n" + inspect.getsource(wind_up).replace(": Any", "").replace(" -> None", "")
+    shared = (limits_of, let_through, wind_up) if geared else (limits_of, let_through)
+    sources |= {one.__name__: "\n" + re.sub(r"( ->|:) (Any|None)\b", "", inspect.getsource(one)) for one in shared}
     laws = "\n\n".join(sources[name] for name in sorted(sources))
     return head + laws + BODY.format(calls=calls, gears=GEARS if geared else "", settled=SETTLED)
 

@@ -7,11 +7,14 @@ import numpy as np
 from jaxtyping import Float
 from mujoco import batch
 
+from edream.sim.limits import let_through, limits_of
 from edream.sim.simulation import SimulatedRobot, hook_index, late_last
 
 
 class BatchState:
     """What hooks see of a batch: `edream.core.effect.State` for N simulations."""
+
+    let_through = let_through
 
     def __init__(
         self, simulations: batch.Batch, start: Float[np.ndarray, "N"] | float = 0.0, past: Callable[[int, float], Any] | None = None
@@ -27,7 +30,9 @@ class BatchState:
         self.torque = bind("qfrc_applied")
         self.base_friction = self.friction.copy()
         self.start = start
-        self._step = float(simulations.get_model(0).opt.timestep)
+        model = simulations.get_model(0)
+        self.limits = limits_of(model, simulations.expand("actuator_forcerange"))
+        self._step = float(model.opt.timestep)
         self._past, self._memory = past, dict[tuple[int, float], tuple[float, np.ndarray]]()
 
     @property
@@ -42,6 +47,10 @@ class BatchState:
     def gain(self) -> Float[np.ndarray, "N actuators"]:
         """Position gains in force: the bias term holds them for position and PID servos alike."""
         return -self._bias[:, :, 1]
+
+    @property
+    def speed_gain(self) -> Float[np.ndarray, "N actuators"]:
+        return -self._bias[:, :, 2]
 
     def recent(self, dof: int, seconds: float) -> Float[np.ndarray, "N"]:
         now, before = float(self.clock.flat[0]), self._memory.get((dof, seconds))

@@ -83,7 +83,7 @@ def gear_feedback(state: State, index: dict[str, int], values: dict[str, Any]) -
     """The servo follows, by a share, the encoder behind its gear; by no more than a shaft that gives can hold."""
     gain = np.minimum(state.gain[:, index["actuator"]], 0.9 / np.maximum(values.get("give", 0.0), 1e-9))
     twist = state.qpos[:, index["drive_qpos"]] - state.qpos[:, index["qpos"]]
-    state.torque[:, index["drive"]] += values["feedback"] * gain * twist
+    state.torque[:, index["drive"]] += state.let_through(index, values["feedback"] * gain * twist)
 
 
 def behind(model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
