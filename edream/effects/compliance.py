@@ -28,7 +28,7 @@ class Compliance(Effect):
     name = "compliance"
     summary = "a compliant gear"
     place = "joint"
-    confusable = ("servo_gain", "backlash", "payload")
+    confusable = ("servo_gain", "backlash", "payload", "actuator_lag", "dead_zone")
     of_position_servo = True
     hook = staticmethod(gear_feedback)
 
