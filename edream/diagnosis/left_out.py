@@ -141,6 +141,9 @@ def agreement(problem: Problem, proof: Float[np.ndarray, "K"]) -> str:
     worst = int(np.argmax(proof))
     alone = len(proof) > 1 and is_real(problem, proof) and np.delete(proof, worst).mean() <= (AT_THE_FLOOR * floor) ** 2
     one = f", all of it in {problem.proof[worst].episode.name}" if alone else ""
+    if proof.mean() > (REAL_GAP * floor) ** 2:
+        misses = f"Your simulator meets the motions that it was fitted to, but misses others: {left}{one}."
+        return f"{misses} What is missing, if anything, does not show in the former; more motions may show it."
     nearly = f"Your simulator nearly agrees with these recordings: {left}{one}."
     return f"{nearly} That is too little to say what is missing, if anything is."
 

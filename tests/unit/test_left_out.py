@@ -15,6 +15,9 @@ def test_agreement_is_said_only_where_little_more_than_noise_is_left() -> None:
     assert agreement(problem, np.full(3, 0.40e-3**2)).startswith("Your simulator agrees with these recordings down to their noise")
     said = agreement(problem, np.full(3, 0.602e-3**2))
     assert "0.6 mrad on motions never fitted" in said and "explain 0.39." in said and "down to their noise" not in said
+    assert said.startswith("Your simulator nearly agrees")
+    missed = agreement(problem, np.full(3, 1.0e-3**2))
+    assert "agrees" not in missed and "misses others: 1 mrad on motions never fitted" in missed
     assert "2.1 mrad on motions never fitted, where noise and repetition explain 0.39, all of it in nod." in agreement(
         problem, np.array([0.3e-3, 3.6e-3, 0.4e-3]) ** 2
     )
