@@ -41,6 +41,8 @@ class State(Protocol):
     Attributes:
         gear_torque: what each joint's gear passed on to its link in the last step [N m]: weight, motion and inertia of all that
             hangs on it, without the armature, which sits before the gear.
+        gain, speed_gain: of each servo's law [N m/rad, N m s/rad].
+        limits: the least and the most that each servo gives [N m], infinite where it has no limit.
     """
 
     time: Float[np.ndarray, "N"]
@@ -83,8 +85,8 @@ class Effect(ABC):
             comes after them.
         of_type: whether its numbers belong to a type of hardware, so that joints of one type may share them, rather than to one
             assembly, as a zero offset does.
-        beyond: whether it has the links beyond its joint elsewhere than readings say, which changes what they weigh on other joints
-            as much as on its own: the score test then asks each joint by itself.
+        shifts_links: whether the links that its joint carries are elsewhere than readings say, which changes their weight on other
+            joints as much as on its own: the score test then asks each joint by itself.
         rough: whether its error has many valleys, so that a descent needs a search before it.
         local: whether it acts around one place of the joint's travel, so that its probes lie where the motions went;
             `probes` then gets a model whose joints range as far as those.
@@ -104,7 +106,7 @@ class Effect(ABC):
     local: bool = False
     phase: str | None = None
     of_type: bool = True
-    beyond: bool = False
+    shifts_links: bool = False
     of_position_servo: bool = False
     special: tuple[str, str, float] | None = None
     finer: "Effect | None" = None

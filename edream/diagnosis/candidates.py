@@ -67,15 +67,16 @@ def rounds(problem: Problem, effects: Sequence[Effect]) -> list[list[Candidate]]
     """Candidates in rounds: those of one round act on different joints and are probed in one simulation.
 
     Joint effects make one round each, over all joints that they can act on; a pair effect one for each second joint; bodies, geoms,
-    the world one each. Those that act beyond their joint make one a joint, and one over all where joints may share their numbers.
+    the world one each. Those that shift links make one a joint, and one over all where joints may share their numbers.
     """
     model = problem.robot.model
     out: list[list[Candidate]] = []
     for effect in effects:
         if effect.place == "joint":
             there = [Candidate(effect.name, (joint,)) for joint in problem.joints if can_act(problem, effect, joint)]
-            out += [[one] for one in there] if effect.beyond and len(there) > 1 else []
-            out += [there] if effect.of_type or not effect.beyond or len(there) == 1 else []
+            by_itself = effect.shifts_links and len(there) > 1
+            out += [[one] for one in there] if by_itself else []
+            out += [there] if effect.of_type or not by_itself else []
         elif effect.place == "pair":
             for second in problem.joints:
                 out.append([Candidate(effect.name, (f"{first}<-{second}",)) for first in problem.joints if first != second])

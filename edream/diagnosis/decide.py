@@ -35,8 +35,7 @@ from edream.diagnosis.trials import (
     Trial,
     beside,
     best_of_each,
-    by_nearness,
-    descend_from,
+    from_nearest,
     gone_on,
     is_usual,
     judged,
@@ -336,7 +335,8 @@ def heard(
     def refitted_there(one: Scored) -> Trial | None:
         joints = acted_on(one.candidate)
         begun = refitted(problem, few, one, iterations=FIRST_STEPS, joints=joints)
-        ends = [begun_beside_published(problem, few, one)] if joints else []
+        # damping and inertia that have made up for a lag leave it no slope beside them
+        ends = [from_nearest(problem, few, one, in_all_strengths_beside_published, TWIN_STEPS)] if joints else []
         if 1.0 - (begun.rms / few.rms) ** 2 >= FORLORN * most:
             own = fresh_columns(few, begun.objective) | of_joints(begun.objective, joints)
             ends.append(descend(begun, own, TWIN_STEPS - FIRST_STEPS))
@@ -349,16 +349,6 @@ def heard(
         more += [trial] if trial is not None else []
         done(1)
     return more
-
-
-def begun_beside_published(problem: Problem, few: Fit, one: Scored) -> Fit:
-    """A candidate gone down from the nearest of its strengths beside the published numbers of its joints.
-
-    Damping and inertia that have made up for a lag leave it no slope beside them.
-    """
-    _, start, _ = by_nearness(problem, few, [one], in_all_strengths_beside_published)[0]
-    extended, _ = extend(few, [placement(problem, one.candidate)])
-    return descend_from(few, extended, start, one.candidate, TWIN_STEPS)
 
 
 def rivals(problem: Problem, trials: Sequence[Trial], winner: Trial) -> list[tuple[Trial, bool]]:

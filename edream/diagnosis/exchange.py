@@ -4,15 +4,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from edream.diagnosis.backward import passes, refitted_without, without
-from edream.diagnosis.candidates import Candidate, acted_on, confused_with, placement
+from edream.diagnosis.candidates import Candidate, acted_on, confused_with
 from edream.diagnosis.decide import Round
 from edream.diagnosis.descent import Fit, descend, polish
 from edream.diagnosis.left_out import HALF, bootstrap, left_out_errors
 from edream.diagnosis.problem import Problem
-from edream.diagnosis.screen import Scored, extend
+from edream.diagnosis.screen import Scored
 from edream.diagnosis.side_by_side import side_by_side
 from edream.diagnosis.starts import in_all_strengths, in_all_strengths_beside_published
-from edream.diagnosis.trials import ARRIVING, Trial, by_nearness, descend_from, gone_on, judged, on_few, placed_at
+from edream.diagnosis.trials import ARRIVING, Trial, from_nearest, gone_on, judged, on_few, placed_at
 
 LEFT = 1.3  # floors of error beside all names, from which one of them may be a stand-in
 HOPEFUL = 0.7  # of the squared error above the floor: what leaves more on few motions is not gone on with
@@ -61,9 +61,8 @@ def instead(problem: Problem, fit: Fit, name: Candidate) -> list[tuple[Fit, Scor
     twins = placed_at(problem, bare, name.targets, confused_with(problem, name.effect))
 
     def gone_down(one: Scored) -> tuple[Fit, Scored]:
-        extended, _ = extend(few, [placement(problem, one.candidate)])
-        starts = [by_nearness(problem, few, [one], of)[0][1] for of in (in_all_strengths, in_all_strengths_beside_published)]
-        ends = [descend(descend_from(few, extended, start, one.candidate, ARRIVING), None, ARRIVING) for start in starts]
+        begun = [from_nearest(problem, few, one, of, ARRIVING) for of in (in_all_strengths, in_all_strengths_beside_published)]
+        ends = [descend(near, None, ARRIVING) for near in begun]
         return min(ends, key=lambda end: end.rms), one
 
     found = side_by_side(gone_down, twins, problem.settings.threads)

@@ -166,7 +166,7 @@ def _probe_round(problem: Problem, fit: Fit, candidates: Sequence[Candidate], to
     changes = residuals[1:] - residuals[0]
     present = fit.objective.simulated.placements
     groups = [group for group in groups_of(problem, candidates) if not acts_already(group, present)]
-    mixed = len(candidates) > 1 and placements[0].effect.beyond
+    mixed = len(candidates) > 1 and placements[0].effect.shifts_links
     return [scored_probes(problem, fit, c, residuals[0], changes, total) for c in (*(() if mixed else candidates), *groups)]
 
 

@@ -340,6 +340,13 @@ def descend_from(fit: Fit, extended: Objective, start: Float[np.ndarray, "P"], c
     return descend(with_column(fit, extended, start, fresh), fresh, iterations)
 
 
+def from_nearest(problem: Problem, fit: Fit, one: Scored, starts_of: Starts, iterations: int) -> Fit:
+    """A candidate gone down from the nearest of its starts."""
+    _, start, _ = by_nearness(problem, fit, [one], starts_of)[0]
+    extended, _ = extend(fit, [placement(problem, one.candidate)])
+    return descend_from(fit, extended, start, one.candidate, iterations)
+
+
 def beside(problem: Problem, bare: Fit, candidate: Candidate) -> Fit:
     """A candidate in the best of its shapes beside some nuisance numbers, and both together gone down from there."""
     place = placement(problem, candidate)

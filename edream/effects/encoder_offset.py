@@ -22,7 +22,7 @@ class EncoderOffset(Effect):
     place = "joint"
     confusable = ("payload", "constant_torque", "spring", "gravity_tilt")
     of_type = False
-    beyond = True
+    shifts_links = True
 
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
         return (Parameter("angle", "rad", -0.35, 0.35, 0.0, absent=0.0, spread=0.1),)

@@ -28,7 +28,7 @@ class GearRatio(Effect):
     summary = "another gear ratio"
     place = "joint"
     confusable = ("servo_gain", "encoder_offset", "spring", "payload", "constant_torque")
-    beyond = True
+    shifts_links = True
     of_position_servo = True
     late = 2
 

@@ -10,7 +10,9 @@ def limits_of(model: Any, ranges: Any) -> Any:
 
     Args:
         model: the model.
-        ranges: its `actuator_forcerange`, (N, actuators, 2); counts where the model says that an actuator is limited.
+        ranges: its `actuator_forcerange` [N m], (N, actuators, 2); counts where the model says that an actuator is limited.
+
+    Source: MuJoCo XML reference, actuator/general/forcerange and body/joint/actuatorfrcrange.
     """
     limits = np.where(np.asarray(model.actuator_forcelimited, bool)[:, None], ranges, [-np.inf, np.inf])
     for actuator in range(model.nactuator):
@@ -21,7 +23,10 @@ def limits_of(model: Any, ranges: Any) -> Any:
 
 
 def let_through(state: Any, index: Any, more: Any) -> Any:
-    """What gets through a position servo's limit of `more` torque than its law asks for [N m], (N,)."""
+    """What gets through a position servo's limit of `more` torque than its law asks for [N m], (N,).
+
+    The law is kp (u - q) - kv qd of the command u as it stands, without a delay, a lag or an integral that the servo may have.
+    """
     actuator = index["actuator"]
     error = state.ctrl[:, index["ctrl"]] - state.qpos[:, index["drive_qpos"]]
     asked = state.gain[:, actuator] * error - state.speed_gain[:, actuator] * state.qvel[:, index["drive"]]

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from benchmarks.blind.cases import robot_of
-from edream.core.episode import Episode
 from edream.diagnosis import finer
 from edream.diagnosis.candidates import Candidate, placement, standing
 from edream.diagnosis.descent import begin, polish
@@ -22,9 +21,9 @@ from edream.diagnosis.trials import Trial, refit
 from edream.reality import effects
 from edream.reality.friction_effects import LoadFriction
 from edream.reality.plant import Moment
-from edream.reality.recorder import Recorder, make_recordings
 from edream.reality.truth import draw
 from edream.sim.simulation import SimulatedRobot
+from tests.stand_in import episodes_of
 
 LOAD = Candidate("load_friction", ("tilt",))
 
@@ -48,8 +47,7 @@ def _problem(hidden: list[str], motions: int, seconds: float) -> Problem:
     robot = robot_of("pan_tilt")
     assert robot is not None
     truth = draw(robot, hidden, np.random.default_rng(5), 0.3, ("tilt",) * len(hidden))
-    made = make_recordings(robot, truth, 5, motions, seconds, Recorder())
-    episodes = [Episode(r.name, robot.joints, r.times, r.position, r.command_times, r.command) for r in made]
+    episodes = episodes_of(robot, truth, 5, motions, seconds)
     return prepare(robot, episodes, Settings())
 
 

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from benchmarks.blind.cases import robot_of
-from edream.core.episode import Episode
 from edream.diagnosis import narrowing
 from edream.diagnosis.candidates import Candidate
 from edream.diagnosis.left_out import left_out_errors
@@ -15,9 +14,9 @@ from edream.diagnosis.nuisance import fit_nuisance
 from edream.diagnosis.problem import Settings, prepare
 from edream.diagnosis.screen import Scored
 from edream.diagnosis.trials import refit
-from edream.reality.recorder import Recorder, make_recordings
 from edream.reality.truth import draw
 from edream.sim.robot import RobotModel
+from tests.stand_in import episodes_of
 
 
 def _robot(differently: bool) -> RobotModel:
@@ -43,8 +42,7 @@ def test_a_group_keeps_the_joints_that_an_effect_is_on(
 ) -> None:
     robot = _robot(differently)
     truth = draw(robot, ["actuator_delay"] * len(on), np.random.default_rng(5), 0.3, on)
-    made = make_recordings(robot, truth, 5, 4, 5.0, Recorder())
-    episodes = [Episode(r.name, robot.joints, r.times, r.position, r.command_times, r.command) for r in made]
+    episodes = episodes_of(robot, truth, 5, 4, 5.0)
     problem = prepare(robot, episodes, Settings())
     fit = fit_nuisance(problem)
     errors = left_out_errors(problem, fit)

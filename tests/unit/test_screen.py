@@ -8,13 +8,12 @@ import pytest
 from benchmarks.blind.cases import robot_of
 from edream.catalog import load
 from edream.core.effect import Effect
-from edream.core.episode import Episode
 from edream.diagnosis.nuisance import fit_nuisance
 from edream.diagnosis.problem import Settings, prepare
 from edream.diagnosis.screen import screen, waves
-from edream.reality.recorder import Recorder, make_recordings
 from edream.reality.truth import draw
 from edream.sim.robot import load_robot
+from tests.stand_in import episodes_of
 
 
 @pytest.mark.parametrize("phase", [-2.5, -0.4, 1.0, 3.0])
@@ -34,8 +33,7 @@ def test_the_score_test_points_at_a_torque_limit_far_below_where_a_servo_has_non
     robot = robot_of("pan_tilt")
     assert robot is not None
     truth = draw(robot, ("torque_saturation",), np.random.default_rng(21), 0.3, ())
-    made = make_recordings(robot, truth, 21, 6, 5.0, Recorder())
-    episodes = [Episode(r.name, robot.joints, r.times, r.position, r.command_times, r.command) for r in made]
+    episodes = episodes_of(robot, truth, 21)
     looked_at = prepare(robot, episodes, Settings(effects=("torque_limit", "quadratic_drag", "load_friction", "stribeck")))
     first = screen(looked_at, fit_nuisance(looked_at))[0]
     assert (first.candidate.effect, first.candidate.targets) == ("torque_limit", truth.effects[0].targets)
@@ -54,8 +52,7 @@ def test_a_zero_offset_is_asked_of_each_joint_by_itself(tmp_path: Path) -> None:
     (tmp_path / "folding.xml").write_text(FOLDING, encoding="utf-8")
     robot = load_robot(tmp_path / "folding.xml")
     truth = draw(robot, ("encoder_offset",), np.random.default_rng(1), 0.3, ())
-    made = make_recordings(robot, truth, 1, 6, 5.0, Recorder())
-    episodes = [Episode(r.name, robot.joints, r.times, r.position, r.command_times, r.command) for r in made]
+    episodes = episodes_of(robot, truth, 1)
     looked_at = prepare(robot, episodes, Settings(effects=("encoder_offset", "gear_ratio", "spring", "constant_torque")))
     first = screen(looked_at, fit_nuisance(looked_at))[0]
     assert truth.effects[0].targets == ("b",)

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 import edream
-from edream.core.episode import Episode
 from edream.diagnosis import nuisance, steps
 from edream.diagnosis.descent import polish
 from edream.diagnosis.left_out import leaves_no_gap
@@ -17,21 +16,20 @@ from edream.diagnosis.problem import Problem, Settings, prepare
 from edream.diagnosis.steps import with_short_steps
 from edream.diagnosis.suspects import least_share
 from edream.diagnosis.valleys import better_place, out_of_false_valleys
-from edream.reality.recorder import Recorder, make_recordings
 from edream.reality.truth import Truth, draw
 from edream.sim.beginning import all_or_nothing
 from edream.sim.differences import FINE
 from edream.sim.objective import STEP, Objective
 from edream.sim.robot import load_robot
 from edream.sim.scales import strongest
+from tests.stand_in import episodes_of
 
 
 def recorded(path: Path, seed: int, published: Path | None = None) -> tuple[Problem, Truth]:
     """A robot's own motions, and what is to be explained beside a model of it, the one that it was drawn from if None is told."""
     robot, model = load_robot(path), load_robot(published or path)
     truth = draw(robot, [], np.random.default_rng(seed), 0.3, ("pan", "tilt"))
-    made = make_recordings(robot, truth, seed, 6, 5.0, Recorder())
-    episodes = [Episode(r.name, robot.joints, r.times, r.position, r.command_times, r.command) for r in made]
+    episodes = episodes_of(robot, truth, seed)
     return prepare(model, episodes, Settings()), truth
 
 

@@ -39,6 +39,7 @@ from edream.reality.recorder import Recorder, make_recordings
 from edream.reality.truth import draw
 from edream.sim.rollout import rollout
 from edream.sim.simulation import SimulatedRobot
+from tests.stand_in import episodes_of
 from tests.still_problem import NOISE, still_problem
 
 
@@ -46,8 +47,7 @@ def test_one_strange_number_takes_no_others_along_on_a_joint_that_nothing_loads(
     robot = robot_of("pan_tilt")
     assert robot is not None
     truth = draw(robot, ["viscous"], np.random.default_rng(27), 0.3, ("pan",))
-    made = make_recordings(robot, truth, 27, 6, 5.0, Recorder())
-    episodes = [Episode(r.name, robot.joints, r.times, r.position, r.command_times, r.command) for r in made]
+    episodes = episodes_of(robot, truth, 27)
     problem = prepare(robot, episodes, Settings())
     fit = polish(fit_nuisance(problem))
     kp, damping = (float(fit.space.mapping(fit.values)[name]) for name in ("servo_gain.kp[pan]", "viscous.damping[pan]"))
@@ -72,8 +72,7 @@ def test_one_strange_number_takes_no_others_along_on_a_joint_that_nothing_loads(
 def test_a_factor_that_a_whole_joint_is_off_by_goes_and_one_strange_number_stays() -> None:
     robot = robot_of("pan_tilt")
     assert robot is not None
-    made = make_recordings(robot, draw(robot, [], np.random.default_rng(3), 0.3, ("pan",)), 3, 6, 5.0, Recorder())
-    episodes = [Episode(r.name, robot.joints, r.times, r.position, r.command_times, r.command) for r in made]
+    episodes = episodes_of(robot, draw(robot, [], np.random.default_rng(3), 0.3, ("pan",)), 3)
     problem = prepare(robot, episodes, Settings())
     fit = fit_nuisance(problem)
     published = {p.name: p.start for p in fit.objective.simulated.space.parameters}
@@ -92,8 +91,7 @@ def test_numbers_that_are_ordinary_one_and_all_are_preferred_where_they_cost_not
     truth = draw(robot, [], np.random.default_rng(3), 0.3, ("pan",))
     truth = replace(truth, nuisance={name: dict(each) for name, each in truth.nuisance.items()})
     truth.nuisance["kp"]["pan"], truth.nuisance["kd"]["pan"], truth.nuisance["damping"]["pan"] = 0.8 * 20.0, 1.3 * 0.5, 1.3 * 0.12
-    made = make_recordings(robot, truth, 3, 6, 5.0, Recorder())
-    episodes = [Episode(r.name, robot.joints, r.times, r.position, r.command_times, r.command) for r in made]
+    episodes = episodes_of(robot, truth, 3)
     problem = prepare(robot, episodes, Settings())
     fit = fit_nuisance(problem)
     values = [value * (1.3 if name.endswith("[pan]") else 1.0) for name, value in fit.space.mapping(fit.values).items()]

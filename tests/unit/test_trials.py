@@ -31,7 +31,7 @@ def _refits_to(monkeypatch: pytest.MonkeyPatch, end: Trial) -> None:
         "placed_at": lambda problem, fit, targets, known: [Scored(Candidate(e.name, targets), {}, 0.0) for e in known],
         "elsewhere": lambda problem, fit, best: [],
         "refitted": lambda problem, fit, one, iterations, joints: SimpleNamespace(rms=1.0, objective=None),
-        "begun_beside_published": lambda problem, fit, one: SimpleNamespace(rms=1.0),
+        "from_nearest": lambda problem, fit, one, starts_of, iterations: SimpleNamespace(rms=1.0),
         "fresh_columns": lambda fit, objective: np.ones(1, bool),
         "of_joints": lambda objective, joints: np.ones(1, bool),
         "descend": lambda fit, fresh, iterations: fit,

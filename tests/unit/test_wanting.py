@@ -6,15 +6,14 @@ import numpy as np
 import pytest
 
 from benchmarks.blind.cases import robot_of
-from edream.core.episode import Episode
 from edream.diagnosis import wanting
 from edream.diagnosis.candidates import Candidate
 from edream.diagnosis.left_out import leaves_no_gap, left_out_errors
 from edream.diagnosis.nuisance import fit_nuisance
 from edream.diagnosis.problem import Settings, prepare
 from edream.diagnosis.trials import Trial
-from edream.reality.recorder import Recorder, make_recordings
 from edream.reality.truth import draw
+from tests.stand_in import episodes_of
 
 
 @pytest.mark.parametrize(
@@ -36,8 +35,7 @@ def test_a_dead_zone_is_found_behind_the_dry_friction_that_has_made_up_for_it() 
     robot = robot_of("pan_tilt")
     assert robot is not None
     truth = draw(robot, ["dead_zone"], np.random.default_rng(0))
-    made = make_recordings(robot, truth, 0, 6, 5.0, Recorder())
-    episodes = [Episode(r.name, robot.joints, r.times, r.position, r.command_times, r.command) for r in made]
+    episodes = episodes_of(robot, truth, 0)
     problem = prepare(robot, episodes, Settings(effects=("dead_zone", "stribeck", "position_friction", "encoder_offset")))
     usual = fit_nuisance(problem)
     rivals = wanting.with_put_back(problem, usual, left_out_errors(problem, usual), [])
