@@ -14,8 +14,8 @@ export OMP_NUM_THREADS ?= 1
 REPRODUCE ?=
 HIDDEN := load_friction
 WHOLE = experiment=tiny seed=1 runs=$(DEMO)/runs $(REPRODUCE)
-MOTIONS = robot=arm6 data=$(DEMO)/motions ingest.fps=50
-DEMOS = robot=arm6_working data=$(DEMO)/demos ingest.fps=25 camera.file=$(DEMO)/demos.cameras.json render.scene=$(DEMO)/demos.scene.json
+MOTIONS = robot=arm6 data=$(DEMO)/motions
+DEMOS = robot=arm6_working data=$(DEMO)/demos camera.file=$(DEMO)/demos.cameras.json render.scene=$(DEMO)/demos.scene.json
 TASK = task=grab_paper_cup rollouts.plate=$(DEMO)/demos.plate.png masks.plate=$(DEMO)/demos.plate.png
 CHANGED := "sft sft.change.share=0.5"
 reproduce: .venv/ready
@@ -43,7 +43,7 @@ POLICY ?= runs/policy-tiny
 STORE ?= $(POLICY)/runs
 NAME ?= policy-tiny
 SEED ?= 1
-PRACTICE = robot=arm6_working task=grab_paper_cup data=$(POLICY)/recorded ingest.fps=25 runs=$(STORE) seed=$(SEED) \
+PRACTICE = robot=arm6_working task=grab_paper_cup data=$(POLICY)/recorded runs=$(STORE) seed=$(SEED) \
   rollouts.eyes=composite sft.twins=true rank.margin=1 camera.file=$(POLICY)/recorded.cameras.json \
   rollouts.plate=$(POLICY)/recorded.plate.png render.scene=$(POLICY)/recorded.scene.json
 policy-tiny: export OMP_NUM_THREADS = 1
@@ -82,7 +82,7 @@ TASKS ?= grab_paper_cup put_pen_in_cup put_remote_in_box put_cup_on_mat
 ROWS ?= ["sft policy.cameras=[cam_high,cam_side,wrist] sft.twins=false","sft","rl"]
 STARTS ?= 500
 PHYSICS ?= ["sft","rl rollouts.model=published","rl","rl rollouts.model=diagnose"]
-LEARN = $(RUN)/edream train-policy robot=arm6_working ingest.fps=25 seed=$(SEED) runs=$(TABLE)/runs
+LEARN = $(RUN)/edream train-policy robot=arm6_working seed=$(SEED) runs=$(TABLE)/runs
 BY_SIGHT = rollouts.eyes=composite sft.twins=true rank.margin=1 'policy.cameras=[cam_high]'
 BY_STATE = 'policy.cameras=[]' policy.objects=$(1).scene.json
 define demonstrated  # task, folder, further settings
@@ -92,7 +92,7 @@ VIEWS := 'record.cell.cameras=[cam_high,cam_side,wrist]'
 HIDES := 'record.effects=[gear_ratio,gear_ratio,load_friction,actuator_delay]' 'record.at=[joint2,joint3]'
 ROBOT := $(TABLE)/grab_paper_cup-hiding
 MOVED := $(TABLE)/hiding-motions
-ON_MOTIONS = 'rollouts.physics="data=$(1) ingest.fps=50"'
+ON_MOTIONS = 'rollouts.physics="data=$(1)"'
 define moved  # the truth of a robot, folder of its free motions
 	test -f $(2).truth.json || { rm -rf $(2); $(RUN)/edream record robot=arm6 record.truth=$(1) record.out=$(2) seed=$(SEED); }
 endef
@@ -192,14 +192,14 @@ check: .venv/ready-dev
 check-lerobot: .venv/ready .venv-lerobot/ready
 	rm -rf $(PEER)
 	$(RUN)/edream record robot=pan_tilt record.out=$(PEER)/recorded record.motions=3 record.seconds=4
-	$(RUN)/edream export --out $(PEER)/lerobot robot=pan_tilt data=$(PEER)/recorded ingest.fps=50 runs=$(PEER)/runs
+	$(RUN)/edream export --out $(PEER)/lerobot robot=pan_tilt data=$(PEER)/recorded runs=$(PEER)/runs
 	.venv-lerobot/bin/python tests/peers/check_lerobot.py $(PEER)/lerobot
 
 # Our episode files in the TypeScript implementation of MCAP: streamed and indexed, all checksums on. Needs node and npm.
 check-mcap: .venv/ready $(NODE)/ready
 	rm -rf $(PEER)
 	$(RUN)/edream record robot=pan_tilt record.out=$(PEER)/recorded record.motions=3 record.seconds=4
-	$(RUN)/edream ingest robot=pan_tilt data=$(PEER)/recorded ingest.fps=50 runs=$(PEER)/runs
+	$(RUN)/edream ingest robot=pan_tilt data=$(PEER)/recorded runs=$(PEER)/runs
 	node tests/peers/mcap_check.mjs $(NODE) $(PEER)/runs/ingest/*/episodes/*.mcap
 
 .venv-lerobot/ready:

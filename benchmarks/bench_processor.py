@@ -43,7 +43,7 @@ KINDS = {
     },
 }
 SMALL = """
-  robot=arm6 task=grab_paper_cup ingest.fps=25 seed=1 executor.workers=1 render.height=32 render.width=32 fit.method=surrogate
+  robot=arm6 task=grab_paper_cup seed=1 executor.workers=1 render.height=32 render.width=32 fit.method=surrogate
   fit.seconds=6 fit.stretch=2 fit.search.descent_steps=5 fit.search.polish=2 fit.search.iterations=3
   surrogate.options={hidden:16,epochs:2} sweep.sets=16 sweep.rounds=1 sweep.windows=16 sweep.blocks=8
   diagnose.effects=[stribeck] diagnose.most=1 diagnose.seconds=6 dream.frames=6 dream.train_frames=4 dream.overlap=2

@@ -21,7 +21,7 @@ import numpy as np
 
 ROOT = Path(__file__).resolve().parent.parent
 STAGE = "import sys; from edream import config, pipeline; pipeline.make(sys.argv[1], config.compose(sys.argv[2:]))"
-SETTINGS = ["robot=pan_tilt", "ingest.fps=50", "fit.method=surrogate", "sweep.sets=16", "sweep.rounds=1", "seed=1"]
+SETTINGS = ["robot=pan_tilt", "fit.method=surrogate", "sweep.sets=16", "sweep.rounds=1", "seed=1"]
 
 
 def multiplied(source: Path, folder: Path, count: int) -> Path:

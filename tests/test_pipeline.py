@@ -26,7 +26,7 @@ def recorded(tmp_path_factory) -> Path:
 @pytest.fixture(scope="module")
 def settings(recorded, tmp_path_factory) -> list[str]:
     runs = tmp_path_factory.mktemp("runs")
-    return ["robot=pan_tilt", f"data={recorded}", "ingest.fps=50", f"runs={runs}"]
+    return ["robot=pan_tilt", f"data={recorded}", f"runs={runs}"]
 
 
 def test_recordings_become_episodes_and_the_second_call_finds_them(settings) -> None:
@@ -93,7 +93,7 @@ def test_ways_to_fit_stand_side_by_side_as_fits_of_their_own_and_are_not_made_tw
 
 
 def test_a_method_to_compare_with_that_does_not_exist_is_told_before_anything_is_made(recorded, tmp_path) -> None:
-    wrong = ["robot=pan_tilt", f"data={recorded}", "ingest.fps=50", f"runs={tmp_path}", "fit.compare=[cmaess]"]
+    wrong = ["robot=pan_tilt", f"data={recorded}", f"runs={tmp_path}", "fit.compare=[cmaess]"]
     done = subprocess.run([*PROGRAM, "calibrate", *wrong], capture_output=True, text=True, timeout=60)
     assert done.returncode == 2 and "Did you mean 'cmaes'?" in done.stderr
     assert not list(tmp_path.glob("*/*"))

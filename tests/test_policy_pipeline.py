@@ -73,7 +73,6 @@ def words(recorded: Path, runs: Path, *more: str) -> list[str]:
         "task=grab_paper_cup",
         f"data={recorded}",
         f"runs={runs}",
-        "ingest.fps=25",
         "seed=1",
         "report.of=evaluate",
         f"camera.file={recorded}.cameras.json",

@@ -23,6 +23,7 @@ from edream.diagnosis.left_out import (
     leaves_no_gap,
 )
 from edream.diagnosis.narrowing import narrowed
+from edream.diagnosis.nearest import from_nearest, placed_at
 from edream.diagnosis.problem import Problem
 from edream.diagnosis.remainder import Remainder, find_remainder
 from edream.diagnosis.screen import Scored, extend
@@ -35,13 +36,11 @@ from edream.diagnosis.trials import (
     Trial,
     beside,
     best_of_each,
-    from_nearest,
     gone_on,
     is_usual,
     judged,
     on_few,
     other_answers,
-    placed_at,
     predicted,
     refitted,
     try_best,

@@ -8,11 +8,12 @@ from edream.diagnosis.candidates import Candidate, acted_on, confused_with
 from edream.diagnosis.decide import Round
 from edream.diagnosis.descent import Fit, descend, polish
 from edream.diagnosis.left_out import HALF, bootstrap, left_out_errors
+from edream.diagnosis.nearest import ARRIVING, from_nearest, placed_at
 from edream.diagnosis.problem import Problem
 from edream.diagnosis.screen import Scored
 from edream.diagnosis.side_by_side import side_by_side
 from edream.diagnosis.starts import in_all_strengths, in_all_strengths_beside_published
-from edream.diagnosis.trials import ARRIVING, Trial, from_nearest, gone_on, judged, on_few, placed_at
+from edream.diagnosis.trials import Trial, gone_on, judged, on_few
 
 LEFT = 1.3  # floors of error beside all names, from which one of them may be a stand-in
 HOPEFUL = 0.7  # of the squared error above the floor: what leaves more on few motions is not gone on with

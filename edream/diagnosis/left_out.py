@@ -137,7 +137,7 @@ def agreement(problem: Problem, proof: Float[np.ndarray, "K"]) -> str:
     floor = problem.floor
     if proof.mean() <= (AT_THE_FLOOR * floor) ** 2:
         return "Your simulator agrees with these recordings down to their noise; nothing is missing that they could show."
-    left = f"{1e3 * rms(np.sqrt(proof)):.2g} mrad on motions never fitted, where noise and repetition explain {1e3 * floor:.2g}"
+    left = on_others(problem, proof)
     worst = int(np.argmax(proof))
     alone = len(proof) > 1 and is_real(problem, proof) and np.delete(proof, worst).mean() <= (AT_THE_FLOOR * floor) ** 2
     one = f", all of it in {problem.proof[worst].episode.name}" if alone else ""
@@ -146,6 +146,17 @@ def agreement(problem: Problem, proof: Float[np.ndarray, "K"]) -> str:
         return f"{misses} What is missing, if anything, does not show in the former; more motions may show it."
     nearly = f"Your simulator nearly agrees with these recordings: {left}{one}."
     return f"{nearly} That is too little to say what is missing, if anything is."
+
+
+def on_others(problem: Problem, proof: Float[np.ndarray, "K"]) -> str:
+    """How far motions never fitted are off, in words; `proof` are their mean squared errors [rad^2], (K,)."""
+    error, floor = 1e3 * rms(np.sqrt(proof)), 1e3 * problem.floor
+    return f"{error:.2g} mrad on motions never fitted, where noise and repetition explain {floor:.2g}"
+
+
+def still_off(problem: Problem, proof: Float[np.ndarray, "K"]) -> str:
+    """What to say beside names that leave a real gap on motions never fitted; nothing where they do not."""
+    return f" Still left: {on_others(problem, proof)}." if proof.mean() > (REAL_GAP * problem.floor) ** 2 else ""
 
 
 def falls_short(problem: Problem, first: Float[np.ndarray, "M"], left: Float[np.ndarray, "M"]) -> bool:

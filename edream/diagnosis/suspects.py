@@ -14,11 +14,12 @@ from edream.diagnosis.backward import backward
 from edream.diagnosis.candidates import Candidate, acted_on, carried_by, confused_with, library, next_to, on_links, placement
 from edream.diagnosis.descent import Fit, begin, cost, descend, polish
 from edream.diagnosis.left_out import left_out_errors
+from edream.diagnosis.nearest import by_nearness, descend_from, placed_at
 from edream.diagnosis.problem import Problem, nuisance_placements
 from edream.diagnosis.screen import Scored, extend, screen
 from edream.diagnosis.side_by_side import side_by_side
 from edream.diagnosis.starts import as_published, in_all_strengths
-from edream.diagnosis.trials import Trial, by_nearness, descend_from, is_usual, judged, placed_at, refit
+from edream.diagnosis.trials import Trial, is_usual, judged, refit
 from edream.sim.objective import Objective
 from edream.sim.simulation import Placement, SimulatedRobot
 

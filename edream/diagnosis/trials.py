@@ -6,8 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from edream.core.effect import Effect
-from edream.diagnosis.candidates import Candidate, acted_on, library, on_links, placement, probes_of, rounds
+from edream.diagnosis.candidates import Candidate, acted_on, library, placement, probes_of
 from edream.diagnosis.descent import Fit, begin, descend, stretches
 from edream.diagnosis.few import ENOUGH, thinned
 from edream.diagnosis.left_out import (
@@ -22,12 +21,11 @@ from edream.diagnosis.left_out import (
     left_out_errors,
     worst_joint,
 )
+from edream.diagnosis.nearest import ARRIVING, begun_in_all_strengths, by_nearness, descend_from, placed_at
 from edream.diagnosis.problem import Problem
 from edream.diagnosis.screen import (
     Scored,
-    acts_already,
     extend,
-    fits_beside,
     lightened,
     unexplained_by,
     with_quantities,
@@ -45,22 +43,16 @@ from edream.diagnosis.starts import (
 )
 from edream.diagnosis.steps import with_long_steps
 from edream.diagnosis.valleys import groups_off
-from edream.sim.objective import Objective, rms
-from edream.sim.simulation import Placement
+from edream.sim.objective import rms
 
 REFITTED, GROUPS, FINISHED = 8, 4, 4
 LIKELIEST = 3  # by the score test: they are refitted on whole motions even where candidates are tried boldly
 HOPELESS = 0.4  # of the best candidate's gain after two steps: those below are not refitted to the end
 SERIOUS_SHARE = 0.01
-ARRIVING = 6  # steps from published numbers, which may be far away, for a candidate to show what it can
 NEARLY = 0.9  # of the squared gap above the floor: what is left asks for no search of every effect
-NEAREST = 5  # in some strength, where servos reach their limits: they are gone down from there
 FARTHER = 2  # of these, begun beside published numbers, go to their ends beyond the first ones of all
 UNLIKELY = 0.3  # of the largest share by the score test: those below wait, and are not refitted where another closes nearly all
 TOLD = 0.02  # of the squared error: what a candidate's search gains less by does not change what it is worth beside others
-
-# (problem, candidate, objective with it, values [P] where it is absent) -> values [P], in the parameters' units
-Starts = Callable[[Problem, Placement, Objective, Float[np.ndarray, "P"]], list[Float[np.ndarray, "P"]]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,46 +208,9 @@ def on_stretches(problem: Problem, fit: Fit) -> Fit:
     return begin(with_long_steps(problem, there).objective, fit.unit)
 
 
-def begun_in_all_strengths(
-    problem: Problem, fit: Fit, groups: Sequence[tuple[str, ...]], starts_of: Starts
-) -> list[tuple[Fit, Scored]]:
-    """What is nearest to the motions in some strength, gone down from there, on the group that is off most.
-
-    Where servos reach their limits, little of an effect does nothing, or what much of it does not, and numbers in a false valley
-    that made up for what is missing tell the score test nothing.
-    """
-    there = [group for group in groups if worst_joint(problem, fit) in group]
-    if not there:
-        return []
-
-    def gone_down(start: Float[np.ndarray, "P"], one: Scored) -> Fit:
-        extended, _ = extend(fit, [placement(problem, one.candidate)])
-        return descend_from(fit, extended, start, one.candidate, ARRIVING)
-
-    nearest = by_nearness(problem, fit, reaching(problem, fit, there[0]), starts_of)[:NEAREST]
-    ends = side_by_side(lambda found: gone_down(*found[1:]), nearest, problem.settings.threads)
-    return [(near, one) for near, (_, _, one) in zip(ends, nearest, strict=True)]
-
-
 def nearer_beside_published(problem: Problem, fit: Fit, places: Sequence[Scored]) -> list[Scored]:
     """The candidates that are nearer to the motions than the fit is, small beside the published numbers; nearest first."""
     return [one for error, _, one in by_nearness(problem, fit, places, beside_published) if error < fit.rms][:LIKELIEST]
-
-
-def by_nearness(
-    problem: Problem, fit: Fit, places: Sequence[Scored], starts_of: Starts
-) -> list[tuple[float, Float[np.ndarray, "P"], Scored]]:
-    """Candidates, each with the nearest of its starts and its error [rad]; nearest first."""
-
-    def nearest(one: Scored) -> tuple[float, Float[np.ndarray, "P"], Scored]:
-        place = placement(problem, one.candidate)
-        extended, absent = extend(fit, [place])
-        starts = np.array(starts_of(problem, place, extended, absent))
-        errors = [rms(r) for r in extended.residuals(starts)]
-        best = int(np.argmin(errors))
-        return errors[best], starts[best], one
-
-    return sorted(side_by_side(nearest, places, problem.settings.threads), key=lambda found: found[0])
 
 
 def with_bold(
@@ -282,21 +237,6 @@ def overlooked(problem: Problem, fit: Fit, scored: Sequence[Scored]) -> list[Sco
     """The effects that are not in `scored`, on the joint that is off most: fitted numbers that are far from true may hide them."""
     known, there = {s.candidate.effect for s in scored}, (worst_joint(problem, fit),)
     return placed_at(problem, fit, there, [effect for effect in library(problem) if effect.name not in known])
-
-
-def reaching(problem: Problem, fit: Fit, group: tuple[str, ...]) -> list[Scored]:
-    """What can act on a group of joints, on a link that they carry, or on the world, and does not yet."""
-    effects = library(problem)
-    links = [(c.targets, effect) for effect in effects for c in on_links(problem, frozenset(group), effect)]
-    spots = [(group, effects), *((targets, [effect]) for targets, effect in links), ((), effects)]
-    return [one for targets, some in spots for one in placed_at(problem, fit, targets, some)]
-
-
-def placed_at(problem: Problem, fit: Fit, targets: Sequence[str], effects: Sequence[Effect]) -> list[Scored]:
-    """Those of some effects that can act on these joints and do not yet, begun at their first probes."""
-    there = dict.fromkeys(c for one in rounds(problem, effects) for c in one if c.targets == tuple(targets))
-    fresh = [c for c in there if not acts_already(c, fit.objective.simulated.placements) and fits_beside(problem, fit, [c])]
-    return [Scored(c, probes_of(problem, placement(problem, c))[0], 0.0) for c in fresh]
 
 
 def refit(problem: Problem, fit: Fit, errors: Float[np.ndarray, "M"], scored: Scored) -> Trial:
@@ -329,22 +269,6 @@ def refitted(problem: Problem, fit: Fit, scored: Scored, iterations: int, joints
     fresh = fresh_columns(fit, extended) | of_joints(extended, joints)
     beside_fitted = descend(with_column(fit, extended, starts[best], fresh), fresh, iterations)
     return min([beside_fitted, *apart], key=lambda one: one.rms)
-
-
-def descend_from(fit: Fit, extended: Objective, start: Float[np.ndarray, "P"], candidate: Candidate, iterations: int) -> Fit:
-    """A candidate gone down from away from the fitted numbers, where columns that were fitted without it say little."""
-    joints = acted_on(candidate)
-    if not joints:  # it acts on all joints' numbers
-        return descend(begin(extended, np.clip(extended.simulated.space.to_unit(start), 0.0, 1.0)), None, iterations)
-    fresh = fresh_columns(fit, extended) | of_joints(extended, joints)
-    return descend(with_column(fit, extended, start, fresh), fresh, iterations)
-
-
-def from_nearest(problem: Problem, fit: Fit, one: Scored, starts_of: Starts, iterations: int) -> Fit:
-    """A candidate gone down from the nearest of its starts."""
-    _, start, _ = by_nearness(problem, fit, [one], starts_of)[0]
-    extended, _ = extend(fit, [placement(problem, one.candidate)])
-    return descend_from(fit, extended, start, one.candidate, iterations)
 
 
 def beside(problem: Problem, bare: Fit, candidate: Candidate) -> Fit:

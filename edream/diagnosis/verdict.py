@@ -23,6 +23,7 @@ from edream.diagnosis.left_out import (
     is_left,
     is_real,
     proof_errors,
+    still_off,
 )
 from edream.diagnosis.naming import Named, as_written, numbers_of, strange_numbers
 from edream.diagnosis.nuisance import fit_nuisance, published, with_shares
@@ -139,8 +140,10 @@ def diagnose(problem: Problem, done: Callable[[str, int], object] = lambda text,
     written, fit = for_a_plain_loop(problem, fit)
     after = np.sqrt(proof_errors(problem, fit))
     ladder[-1] = (ladder[-1][0], after)
-    agrees = verdict == "none"
-    said = agreement(problem, after**2) if agrees else sentence(verdict, effects, remainder, problem.robot.joints)
+    if verdict == "none":
+        said = agreement(problem, after**2)
+    else:
+        said = sentence(verdict, effects, remainder, problem.robot.joints) + still_off(problem, after**2)
     return Diagnosis(
         problem=written,
         searched=problem.robot,

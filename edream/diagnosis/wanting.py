@@ -8,11 +8,12 @@ from jaxtyping import Float
 from edream.diagnosis.backward import passes
 from edream.diagnosis.descent import Fit
 from edream.diagnosis.left_out import HALF, is_real, worst_joint
+from edream.diagnosis.nearest import begun_in_all_strengths
 from edream.diagnosis.problem import Problem
 from edream.diagnosis.rough import rough_candidates, searched
 from edream.diagnosis.screen import Scored
 from edream.diagnosis.starts import in_all_strengths_beside_published
-from edream.diagnosis.trials import HOPELESS, Trial, begun_in_all_strengths, best_of_each, finished, judged, on_few
+from edream.diagnosis.trials import HOPELESS, Trial, best_of_each, finished, judged, on_few
 
 
 def with_rough(

@@ -18,17 +18,18 @@ from edream.ingest.rows import held_commands, new_folder
 from edream.ingest.video import EncodedFrames, image_size
 
 MAX_FILES = 100_000
-BASE, DEPTH = "base_action", "observations/images_depth"
+BASE, DEPTH, CLOCK = "base_action", "observations/images_depth", "timestamps"
 
 
 class AlohaHdf5(Format):
     """Commands in `/action`, measurements in `/observations/{qpos,qvel,effort}`, images in `/observations/images/CAMERA`.
 
-    The files carry no clock, so the rate must be given (`ingest.fps`; ALOHA 50, AgileX 30) unless edream wrote them, which
-    adds `/timestamps`. Images are raw where they have four dimensions and JPEG where they have two, whatever the attribute
-    `compress` says, for it may be absent. Two official readers disagree on whether raw images are RGB or BGR: see
-    `ingest.colour`. The original loader takes real robots' actions one row early: see `ingest.command_shift`. A mobile base's
-    `/base_action` is kept as a signal; depth images are named and left alone.
+    The files carry no clock, so the rate must be given (`ingest.fps`; ALOHA 50, AgileX 30) unless they have `/timestamps` [s],
+    as those that edream writes do: these are taken as they are, whatever the rate. Images are raw where they have four
+    dimensions and JPEG where they have two, whatever the attribute `compress` says, for it may be absent. Two official readers
+    disagree on whether raw images are RGB or BGR: see `ingest.colour`. The original loader takes real robots' actions one row
+    early: see `ingest.command_shift`. A mobile base's `/base_action` is kept as a signal; depth images are named and left
+    alone.
     Source: github.com/tonyzhaozh/act, github.com/MarkFzp/act-plus-plus, github.com/agilexrobotics/cobot_magic.
     """
 
@@ -106,16 +107,18 @@ def _read(file: Path, name: str, options: ReadOptions) -> Recording:
             velocity=hdf5_file.table(opened, "observations/qvel"),
             effort=hdf5_file.table(opened, "observations/effort"),
             videos=_videos(opened, file, times, options),
-            notes=_notes(opened),
+            notes=_notes(opened, options),
             signals=_signals(opened, file, len(position)),
         )
 
 
-def _notes(opened: h5py.File) -> dict[str, str]:
-    """Whether it is a simulation's, and what of the file edream does not read."""
+def _notes(opened: h5py.File, options: ReadOptions) -> dict[str, str]:
+    """Whether it is a simulation's, and what of the file, or of what was asked for, edream does not use."""
     notes = {"simulated": str(bool(opened.attrs["sim"]))} if "sim" in opened.attrs else {}
     depth = hdf5_file.entry(opened, DEPTH)
     left = [f"{DEPTH}/{name}" for name in sorted(depth.keys())] if isinstance(depth, h5py.Group) else []
+    if options.fps is not None and CLOCK in opened:
+        left.append(f"ingest.fps={options.fps:g} (/{CLOCK} say when each row was recorded)")
     return notes | ({"left_alone": ", ".join(left)} if left else {})
 
 
@@ -130,13 +133,13 @@ def _signals(opened: h5py.File, file: Path, rows: int) -> dict[str, np.ndarray]:
 
 
 def _times(opened: h5py.File, file: Path, rows: int, options: ReadOptions) -> np.ndarray:
-    if options.fps is not None:
-        return np.arange(rows) / options.fps
-    stored = hdf5_file.dataset(opened, "timestamps", kinds="f")
+    stored = hdf5_file.dataset(opened, CLOCK, kinds="f")
     if stored is not None:
         if stored.shape != (rows,):
-            raise EdreamError(f"{file}: /timestamps has shape {stored.shape}; expected ({rows},).")
+            raise EdreamError(f"{file}: /{CLOCK} has shape {stored.shape}; expected ({rows},).")
         return np.asarray(stored[()], dtype=np.float64)
+    if options.fps is not None:
+        return np.arange(rows) / options.fps
     raise _NoClockError(
         f"{file} carries no clock. Give its rate as ingest.fps=RATE [Hz]: 50 for ALOHA and Mobile ALOHA, 30 for AgileX."
     )

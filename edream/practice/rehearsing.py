@@ -32,7 +32,7 @@ class RolloutOptions:
 
     Attributes:
         model: whose physics: fit, diagnose or published.
-        physics: settings under which that is made, such as "data=motions ingest.fps=50": motions made for it tell more of a robot
+        physics: settings under which that is made, such as "data=motions": motions made for it tell more of a robot
             than its demonstrations do. Empty for the recordings that the policy learns from.
         eyes: what the policy is shown: raw, composite, dreamed or state (nothing but numbers).
         starts: how many starts, each of which is tried `samples` times.

@@ -21,7 +21,6 @@ KILLS = 50
 STAGES = ("ingest", "sweep", "surrogate", "fit")
 SMALL = [
     "robot=pan_tilt",
-    "ingest.fps=50",
     "fit.method=surrogate",
     "fit.seconds=6",
     "fit.stretch=2",

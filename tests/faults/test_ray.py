@@ -32,7 +32,7 @@ from tests.test_policy_pipeline import settings as policy_settings
 
 ROOT = Path(__file__).parents[2]
 SHARDS = 60
-SIMULATED = ["robot=pan_tilt", "ingest.fps=50", "fit.method=surrogate", "fit.seconds=4", "fit.stretch=2", "sweep.sets=16"]
+SIMULATED = ["robot=pan_tilt", "fit.method=surrogate", "fit.seconds=4", "fit.stretch=2", "sweep.sets=16"]
 SIMULATED += ["sweep.rounds=1", "sweep.windows=8", "sweep.blocks=8", "seed=1"]
 
 

@@ -8,10 +8,10 @@ import pytest
 
 from edream.diagnosis import astray, left_out
 from edream.diagnosis.candidates import Candidate, placement
+from edream.diagnosis.nearest import reaching
 from edream.diagnosis.nuisance import fit_nuisance
 from edream.diagnosis.screen import LARGEST_ALPHA, Scored, extend
 from edream.diagnosis.starts import STRONG, as_published, in_all_strengths, in_all_strengths_beside_published
-from edream.diagnosis.trials import reaching
 from tests.unit.test_shares import recorded, weak
 
 DRAG, SPRING = Candidate("quadratic_drag", ("tilt",)), Candidate("spring", ("tilt",))

@@ -5,11 +5,12 @@ import pytest
 
 from benchmarks.blind.cases import robot_of
 from edream.diagnosis.candidates import Candidate
+from edream.diagnosis.nearest import from_nearest
 from edream.diagnosis.nuisance import fit_nuisance
 from edream.diagnosis.problem import Settings, prepare
 from edream.diagnosis.screen import Scored
 from edream.diagnosis.starts import in_all_strengths_beside_published
-from edream.diagnosis.trials import from_nearest, refitted
+from edream.diagnosis.trials import refitted
 from edream.reality.truth import draw
 from tests.stand_in import episodes_of
 

@@ -26,7 +26,7 @@ def ask(*words: str) -> dict:
 def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("view")
     ask("record", "robot=pan_tilt", f"record.out={folder}/rec", "record.motions=2", "record.seconds=1", "seed=1")
-    ask("ingest", "robot=pan_tilt", f"data={folder}/rec", "ingest.fps=50", f"runs={folder}/runs")
+    ask("ingest", "robot=pan_tilt", f"data={folder}/rec", f"runs={folder}/runs")
     return folder / "runs"
 
 

@@ -55,7 +55,7 @@ def test_doctor_says_what_of_each_experiment_can_run_here() -> None:
 def test_one_page_about_several_runs_is_made_once_and_stands_beside_the_paper(tmp_path: Path) -> None:
     ask("record", "robot=pan_tilt", f"record.out={tmp_path}/rec", "record.motions=3", "record.seconds=2", "seed=1")
     place = [f"runs={tmp_path}/runs"]
-    small = ["robot=pan_tilt", "ingest.fps=50", "fit.seconds=4", "fit.stretch=2", "fit.search.annealing_steps=3", "seed=1"]
+    small = ["robot=pan_tilt", "fit.seconds=4", "fit.stretch=2", "fit.search.annealing_steps=3", "seed=1"]
     ask("calibrate", *small, *place, f"data={tmp_path}/rec", "fit.compare=[annealing]", "run=small-calibrate")
     first = ask("report", "--whole", "small", "--truth", f"{tmp_path}/rec.truth.json", *place)
     again = ask("report", "--whole", "small", "--truth", f"{tmp_path}/rec.truth.json", *place)

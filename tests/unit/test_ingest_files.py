@@ -228,6 +228,19 @@ def test_aloha_needs_a_rate_and_swaps_colours_when_told(tmp_path: Path) -> None:
     np.testing.assert_array_equal(first, second[:, :, ::-1])
 
 
+def test_an_aloha_file_that_has_a_clock_keeps_it_and_the_rate_is_named_as_left_alone(tmp_path: Path) -> None:
+    path = make_sample("aloha_hdf5", tmp_path)
+    with h5py.File(path / "episode_0.hdf5", "a") as file:
+        times = file["timestamps"][()] + np.random.default_rng(0).uniform(0.0, 1e-3, file["timestamps"].shape)
+        file["timestamps"][...] = times
+    plain, rated = (next(read_recordings(path, options)) for options in (ReadOptions(), ReadOptions(fps=10.0)))
+    assert not isinstance(plain, Malformed) and not isinstance(rated, Malformed)
+    np.testing.assert_array_equal(rated.times, plain.times)
+    assert np.ptp(np.diff(rated.times)) > 1e-4
+    said = " ".join(find(map_recording(rated, ("lift", "turn"), MappingConfig(by="order"))).sentences())
+    assert "ingest.fps=10 (/timestamps say" in said and "left_alone" not in plain.notes
+
+
 def test_a_mobile_base_is_kept_as_a_signal_and_depth_is_named_as_left_alone(tmp_path: Path) -> None:
     path = make_sample("aloha_hdf5", tmp_path)
     with h5py.File(path / "episode_0.hdf5", "a") as file:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from edream.diagnosis import left_out
-from edream.diagnosis.left_out import agreement, asks_for_more, does_better, gap_above_floor, is_left
+from edream.diagnosis.left_out import agreement, asks_for_more, does_better, gap_above_floor, is_left, still_off
 
 
 def test_agreement_is_said_only_where_little_more_than_noise_is_left() -> None:
@@ -21,6 +21,13 @@ def test_agreement_is_said_only_where_little_more_than_noise_is_left() -> None:
     assert "2.1 mrad on motions never fitted, where noise and repetition explain 0.39, all of it in nod." in agreement(
         problem, np.array([0.3e-3, 3.6e-3, 0.4e-3]) ** 2
     )
+
+
+def test_what_names_leave_on_motions_never_fitted_is_said_where_it_is_a_gap() -> None:
+    problem = SimpleNamespace(floor=0.3e-3)
+    assert still_off(problem, np.full(3, 0.5e-3**2)) == ""
+    said = still_off(problem, np.array([2.0e-3, 9.0e-3, 9.0e-3]) ** 2)
+    assert said == " Still left: 7.4 mrad on motions never fitted, where noise and repetition explain 0.3."
 
 
 @pytest.mark.parametrize(

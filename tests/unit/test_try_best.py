@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from edream.diagnosis import trials
+from edream.diagnosis import nearest, trials
 from edream.diagnosis.candidates import Candidate
 from edream.diagnosis.screen import Scored
 from edream.diagnosis.trials import Trial, with_bold
@@ -114,18 +114,16 @@ def test_where_servos_at_their_limit_leave_a_joint_off_what_is_nearest_in_some_s
     stand_ins = {"joint_coupling": 0.21, "stribeck": 0.22, "presliding": 0.23, "backlash": 0.24, "hardening_spring": 0.25}
     ends = {"torque_limit": 0.3, "spring": 0.6, "coulomb": 0.7, "cogging": 0.8, "payload": 0.95, **stand_ins}
     steps: dict[str, object] = {}
+    further: list[int] = []
 
     def fitted(name: str) -> SimpleNamespace:
-        return SimpleNamespace(rms=ends[name], unit=np.zeros(1))
+        return SimpleNamespace(rms=ends[name], unit=np.zeros(1), objective=None)
 
     def gone_on(fit: object, near: SimpleNamespace, joints: frozenset[str]) -> SimpleNamespace:
         assert joints == {"tilt"}, "the joint's own numbers are differenced anew"
         return near
 
-    told = {
-        "far_off": lambda problem, fit: False,
-        "led_astray": lambda problem, fit: False,
-        "groups_off": lambda problem, fit: [("pan",), ("tilt",)],
+    places = {
         "worst_joint": lambda problem, fit: "tilt",
         "reaching": lambda problem, fit, group: [Scored(Candidate(name, group), {}, 0.0) for name in away],
         "placement": lambda problem, candidate: candidate,
@@ -133,11 +131,18 @@ def test_where_servos_at_their_limit_leave_a_joint_off_what_is_nearest_in_some_s
             SimpleNamespace(residuals=lambda sets: [np.full(4, away[places[0].effect])] * len(sets)),
             None,
         ),
-        "in_all_strengths": lambda problem, place, extended, absent: [np.zeros(1)],
-        "in_all_strengths_beside_published": lambda problem, place, extended, absent: [np.zeros(1), np.ones(1)],
         "descend_from": lambda fit, extended, start, candidate, most: (
             steps.update({candidate.effect: most}) or fitted(candidate.effect)
         ),
+        "moving": lambda fit, extended, candidate: None,
+        "descend": lambda near, fresh, most: further.append(most) or near,
+    }
+    told = {
+        "far_off": lambda problem, fit: False,
+        "led_astray": lambda problem, fit: False,
+        "groups_off": lambda problem, fit: [("pan",), ("tilt",)],
+        "in_all_strengths": lambda problem, place, extended, absent: [np.zeros(1)],
+        "in_all_strengths_beside_published": lambda problem, place, extended, absent: [np.zeros(1), np.ones(1)],
         "on_few": lambda problem, fit: fit,
         "refitted": lambda problem, few, one, iterations: fitted(one.candidate.effect),
         "gone_on": gone_on,
@@ -145,11 +150,14 @@ def test_where_servos_at_their_limit_leave_a_joint_off_what_is_nearest_in_some_s
     }
     for name, stand_in in told.items():
         monkeypatch.setattr(trials, name, stand_in)
+    for name, stand_in in places.items():
+        monkeypatch.setattr(nearest, name, stand_in)
     problem = SimpleNamespace(floor=0.1, settings=SimpleNamespace(threads=1))
     scored = [Scored(Candidate(name, ("tilt",)), {}, share) for name, share in (("cogging", 0.5), ("spring", 0.45))]
     found = trials.try_best(problem, SimpleNamespace(rms=1.0), np.zeros(4), scored)
     assert [t.candidate.effect for t in found] == ["torque_limit", "spring", "coulomb", "cogging"], "each once, best first"
-    assert set(steps) == set(away) and set(steps.values()) == {trials.ARRIVING}
+    assert set(steps) == set(away) and set(steps.values()) == {nearest.FIRST}
+    assert set(further) == {nearest.ARRIVING - nearest.FIRST}
     alone = trials.try_best(problem, SimpleNamespace(rms=1.0), np.zeros(4), [])
     assert [t.candidate.effect for t in alone][:3] == ["torque_limit", "spring", "coulomb"], (
         "also where the score test says nothing"
