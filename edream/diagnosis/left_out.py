@@ -11,7 +11,7 @@ from edream.sim.rollout import rollout_each
 FOLDS = 5
 DRAWS = 4000
 FAR = 20.0  # floors of error: so large a gap that refits start from several places
-CLEAR = 3.0  # floors on one joint: enough for that where fitted numbers are not credible, for they have made up for what is missing
+CLEAR = 3.0  # floors: on one joint enough for that where fitted numbers are not credible, which have made up for what is missing
 SMALL = 10  # numbers at most, with which that costs little
 BRIEF = 120.0  # s of motion, up to which trying is cheap
 LENGTHS = (1.0, 0.3)  # of a step
@@ -210,6 +210,11 @@ def gained_on(problem: Problem, joints: frozenset[str], before: Fit, after: Fit)
     return rms(joint_errors(problem, before)[own]) - rms(joint_errors(problem, after)[own])
 
 
+def is_clear(problem: Problem, errors: Float[np.ndarray, "M"]) -> bool:
+    """Whether errors on motions left out are so far above the floor that they ask for a name, however large others were."""
+    return float(errors.mean()) > (CLEAR * problem.floor) ** 2
+
+
 def is_material(
     problem: Problem,
     first: Float[np.ndarray, "M"],
@@ -220,7 +225,8 @@ def is_material(
     """Whether an effect beside others gains enough for a name.
 
     What comes with a large effect and gains little more is mostly that effect's own form, which no formula has exactly. What it
-    gains on `bare` joints, on which nothing else is named, is something else, and may be as small as can be seen.
+    gains on `bare` joints, on which nothing else is named, is something else, and may be as small as can be seen. So is what leaves
+    no real gap of one that is clear: a form that is not exact leaves some, whatever is put beside it.
 
     Args:
         problem: its floor.
@@ -230,7 +236,8 @@ def is_material(
     """
     gap = float(np.sqrt(first.mean())) - problem.floor
     gain = float(np.sqrt(without[0].mean()) - np.sqrt(beside[0].mean()))
-    return gain >= MATERIAL * gap or gained_on(problem, bare, without[1], beside[1]) >= VISIBLE * problem.floor
+    closes = is_clear(problem, without[0]) and not is_real(problem, beside[0])
+    return gain >= MATERIAL * gap or closes or gained_on(problem, bare, without[1], beside[1]) >= VISIBLE * problem.floor
 
 
 def asks_for_more(
@@ -238,8 +245,9 @@ def asks_for_more(
 ) -> bool:
     """Whether what is left asks for an effect, or for one more.
 
-    It does where it can be seen, and matters beside the gap at first; where the fit itself is at the floor, only if motions left
-    out bear it out together. What is left on a `bare` joint alone, on which nothing is named, the mean over many joints hides.
+    It does where it can be seen, and is clear or matters beside the gap at first; where the fit itself is at the floor, only if
+    motions left out bear it out together. What is left on a `bare` joint alone, on which nothing is named, the mean over many
+    joints hides.
 
     Args:
         problem: its floor.
@@ -251,6 +259,7 @@ def asks_for_more(
     if any(of_joints[joint] > ELSEWHERE * problem.floor for joint in bare):
         return True
     left, whole = (float(np.sqrt(e.mean())) - problem.floor for e in (errors, first))
-    if left <= max(VISIBLE * problem.floor, 0.0 if first is errors else MATERIAL * whole):
+    small = 0.0 if first is errors or is_clear(problem, errors) else MATERIAL * whole
+    if left <= max(VISIBLE * problem.floor, small):
         return False
     return not leaves_no_gap(problem, fit) or is_borne_out(problem, errors, 1.0 + VISIBLE)

@@ -11,8 +11,9 @@ from edream.catalog import load
 from edream.core.effect import Effect
 from edream.diagnosis.backward import backward, refitted_without, still_standing
 from edream.diagnosis.candidates import Candidate, placement, standing
-from edream.diagnosis.decide import ALIKE, Round, forward, meets_as_well, rivals
+from edream.diagnosis.decide import Round, forward
 from edream.diagnosis.descent import Fit, polish
+from edream.diagnosis.doubts import asked_again, doubtful, others_of
 from edream.diagnosis.exchange import exchanged
 from edream.diagnosis.finer import with_plain
 from edream.diagnosis.left_out import (
@@ -120,6 +121,8 @@ def diagnose(problem: Problem, done: Callable[[str, int], object] = lambda text,
         else:  # ordinary numbers meet motions left out as well, which is no news
             fit, numbers, suspects = home, [], []
     ended = suspects[0].fit if suspects else fit  # what is named is what is written, with the ordinary numbers that it leaves
+    trials, heard = asked_again(problem, fit, heard, trials)
+    done("asking doubts again", 1)
     effects = [_named(problem, ended, t, heard, trials) for t in trials]
     if suspects or not trials:  # beside a name, a strange number alone is that effect's own form, which no formula has exactly
         effects += with_suspects(problem, numbers, suspects)
@@ -210,15 +213,9 @@ def _label(trial: Trial) -> str:
 
 
 def _named(problem: Problem, fit: Fit, trial: Trial, rounds: Sequence[Round], taken: Sequence[Trial]) -> Named:
-    own = next(r for r in rounds if r.taken is trial)
-    # what is named beside it is not an alternative to it
-    others = [(t, told) for t, told in rivals(problem, own.trials, trial) if t.candidate not in [one.candidate for one in taken]]
-    alike = tuple(
-        other.candidate.label
-        for other, told in others
-        if not told and is_another(other, trial) and (other.closed >= ALIKE * trial.closed or meets_as_well(other, trial))
-    )
-    different = [other for other, _ in others if is_another(other, trial)]
+    own, named = next(r for r in rounds if r.taken is trial), [one.candidate for one in taken]
+    alike = tuple(other.candidate.label for other in doubtful(problem, own, trial, named))
+    different = [other for other, _ in others_of(problem, own, trial, named) if is_another(other, trial)]
     runner = (different[0].candidate.label, different[0].closed) if different else None
     values, intervals, units = numbers_of(problem, fit, standing(problem, trial.candidate, fit.objective.simulated))
     effect = load("effects", trial.candidate.effect, Effect)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from edream.diagnosis import left_out
-from edream.diagnosis.left_out import agreement, asks_for_more, does_better, gap_above_floor, is_left, still_off
+from edream.diagnosis.left_out import agreement, asks_for_more, does_better, gap_above_floor, is_left, is_material, still_off
 
 
 def test_agreement_is_said_only_where_little_more_than_noise_is_left() -> None:
@@ -50,6 +50,18 @@ def test_where_the_fit_is_at_the_floor_motions_left_out_ask_for_an_effect_togeth
     problem = SimpleNamespace(floor=1.0, joints=("tilt",), settings=SimpleNamespace(seed=0))
     fit, squares = SimpleNamespace(rms=rms, residual=np.full(6, rms)), np.array(errors) ** 2
     assert asks_for_more(problem, fit, squares, squares, frozenset()) is asks
+
+
+@pytest.mark.parametrize(
+    ("without", "beside", "named"), [(12.0, 1.1, True), (12.0, 4.0, False), (2.5, 1.1, False), (30.0, 14.0, True)]
+)
+def test_beside_a_large_effect_a_small_one_is_named_where_it_closes_a_clear_gap(without: float, beside: float, named: bool) -> None:
+    """Friction at a place left 12 floors beside a slew limit that had left 280, and was less than a twentieth of these."""
+    problem = SimpleNamespace(floor=1.0, joints=("pan",), settings=SimpleNamespace(seed=0))
+    first, before, after = (np.full(9, error**2) for error in (280.0, without, beside))
+    fit = SimpleNamespace(rms=without, residual=np.full(6, without))
+    assert is_material(problem, first, (before, fit), (after, fit), frozenset()) is named
+    assert asks_for_more(problem, fit, first, before, frozenset()) is (without > 3.0)
 
 
 @pytest.mark.parametrize(("errors", "gap"), [(0.8, 0.21), (1.1, 0.21), (4.0, 3.0)])

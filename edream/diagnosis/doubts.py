@@ -1,0 +1,70 @@
+"""What a name may be instead, and doubts of first rounds asked again once other names stand beside them."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from edream.diagnosis.backward import refitted_without, without
+from edream.diagnosis.candidates import Candidate, placement
+from edream.diagnosis.decide import ALIKE, Round, meets_as_well, rivals
+from edream.diagnosis.descent import Fit, begin, descend, polish
+from edream.diagnosis.left_out import left_out_errors
+from edream.diagnosis.nearest import ARRIVING
+from edream.diagnosis.problem import Problem
+from edream.diagnosis.screen import extend
+from edream.diagnosis.side_by_side import side_by_side
+from edream.diagnosis.starts import in_all_strengths
+from edream.diagnosis.trials import Trial, is_another, judged
+from edream.sim.objective import rms
+
+STARTS = 2  # of a rival, the nearest, gone down from
+
+
+def others_of(problem: Problem, own: Round, trial: Trial, named: Sequence[Candidate]) -> list[tuple[Trial, bool]]:
+    """A name's rivals in its round, and whether motions tell each from it; what is named beside it is no alternative to it."""
+    return [(other, told) for other, told in rivals(problem, own.trials, trial) if other.candidate not in named]
+
+
+def doubtful(problem: Problem, own: Round, trial: Trial, named: Sequence[Candidate]) -> list[Trial]:
+    """The rivals that these motions cannot tell from a name."""
+    return [
+        other
+        for other, told in others_of(problem, own, trial, named)
+        if not told and is_another(other, trial) and (other.closed >= ALIKE * trial.closed or meets_as_well(other, trial))
+    ]
+
+
+def asked_again(problem: Problem, fit: Fit, rounds: Sequence[Round], trials: Sequence[Trial]) -> tuple[list[Trial], list[Round]]:
+    """The names and their rounds; what a name was not told from before others were known is put in its place beside these.
+
+    A base that leans and a spring moved a joint alike as long as its dead zone was missing. The last name's rivals stood beside
+    all others already.
+    """
+    names, out, named = list(trials), list(rounds), [t.candidate for t in trials]
+    for place, trial in enumerate(names[:-1]):
+        number = next(i for i, one in enumerate(out) if one.taken is trial)
+        if not (others := doubtful(problem, out[number], trial, named)):
+            continue
+        errors = left_out_errors(problem, refitted_without(problem, fit, trial.candidate))
+        ends = side_by_side(partial(in_place, problem, fit, trial.candidate), others, problem.settings.threads)
+        judgements = [judged(problem, end, errors, other) for end, other in zip(ends, others, strict=True)]
+        own = judged(problem, fit, errors, trial)
+        out[number] = replace(out[number], trials=sorted([own, *judgements], key=lambda t: -t.closed), taken=own)
+        names[place] = own
+    return names, out
+
+
+def in_place(problem: Problem, fit: Fit, name: Candidate, rival: Trial) -> Fit:
+    """The fit with a rival in the place of a name, gone down to its end from where the rival had ended and from its strengths."""
+    bare, place = without(fit, name), placement(problem, rival.candidate)
+    extended, absent = extend(bare, [place])
+    space, ended = extended.simulated.space, rival.fit.space.mapping(rival.fit.values)
+    own = {parameter.name for parameter in place.parameters(problem.robot.model)}
+    as_it_was = [np.array([ended.get(n, v) if n in own else v for n, v in zip(space.names, absent, strict=True)])]
+    with_its_numbers = [np.array([ended.get(n, v) for n, v in zip(space.names, absent, strict=True)])]
+    starts = np.array([*as_it_was, *with_its_numbers, *in_all_strengths(problem, place, extended, absent)])
+    nearest = np.argsort([rms(r) for r in extended.residuals(starts)])[:STARTS]
+    ends = [descend(begin(extended, np.clip(space.to_unit(starts[i]), 0.0, 1.0)), None, ARRIVING) for i in nearest]
+    return polish(min(ends, key=lambda end: end.rms))

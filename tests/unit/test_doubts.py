@@ -1,0 +1,91 @@
+"""Doubts of first rounds, asked again beside the names that came later."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from edream.diagnosis import doubts
+from edream.diagnosis.candidates import Candidate, placement
+from edream.diagnosis.decide import Round
+from edream.diagnosis.descent import Fit, begin
+from edream.diagnosis.nuisance import published
+from edream.diagnosis.problem import Settings, prepare
+from edream.diagnosis.screen import extend
+from edream.diagnosis.trials import Trial
+from edream.sim.rollout import rollout
+from edream.sim.simulation import SimulatedRobot
+from tests.still_problem import NOISE, still_problem
+
+PROBLEM = SimpleNamespace(floor=1.0, settings=SimpleNamespace(seed=0, threads=1))
+
+
+def trial(effect: str, left: float, closed: float) -> Trial:
+    fit = SimpleNamespace(rms=left**0.5, unit=np.zeros(3))
+    return Trial(Candidate(effect, ("pan",)), 0.1, fit, np.full(8, left), closed, True)  # type: ignore[arg-type]
+
+
+@pytest.fixture
+def rounds() -> list[Round]:
+    """A tilt that a spring does nearly as well as, then a dead zone."""
+    first, last = (
+        [trial("gravity_tilt", 12.0, 0.55), trial("spring", 12.4, 0.53), trial("cogging", 26.0, 0.02)],
+        [trial("dead_zone", 1.0, 1.0)],
+    )
+    fit = SimpleNamespace(rms=5.0)
+    return [Round(fit, np.full(8, 27.0), [], first, first[0]), Round(fit, first[0].errors, [], last, last[0])]  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("beside", "doubts_left"), [(9.0, []), (1.0, ["spring"])])
+def test_a_rival_stays_one_only_where_it_does_as_well_beside_the_other_names(
+    monkeypatch: pytest.MonkeyPatch, rounds: list[Round], beside: float, doubts_left: list[str]
+) -> None:
+    names = [one.taken for one in rounds if one.taken]
+    named = [one.candidate for one in names]
+    assert [one.candidate.effect for one in doubts.doubtful(PROBLEM, rounds[0], names[0], named)] == ["spring"]
+    ends = {"gravity_tilt": (1.0, 0.95), "spring": (beside, 0.95 - 0.1 * (beside - 1.0))}
+    tried: list[str] = []
+
+    def in_place(problem: object, fit: object, name: Candidate, rival: Trial) -> SimpleNamespace:
+        assert name.effect == "gravity_tilt"
+        tried.append(rival.candidate.effect)
+        return SimpleNamespace(rms=ends[rival.candidate.effect][0] ** 0.5, unit=np.zeros(3))
+
+    def judged(problem: object, fit: SimpleNamespace, errors: np.ndarray, one: Trial) -> Trial:
+        left, closed = ends[one.candidate.effect]
+        return replace(one, fit=fit, errors=np.full(8, left), closed=closed)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(doubts, "in_place", in_place)
+    monkeypatch.setattr(doubts, "judged", judged)
+    monkeypatch.setattr(doubts, "refitted_without", lambda problem, fit, name: fit)
+    monkeypatch.setattr(doubts, "left_out_errors", lambda problem, fit: np.full(8, 20.0))
+    fit = SimpleNamespace(rms=1.0, unit=np.zeros(3))
+    again, after = doubts.asked_again(PROBLEM, fit, rounds, names)  # type: ignore[arg-type]
+    assert tried == ["spring"] and [one.candidate for one in again] == named
+    assert [one.candidate.effect for one in doubts.doubtful(PROBLEM, after[0], again[0], named)] == doubts_left
+    assert after[1] is rounds[1] and again[1] is names[1], "the last name's rivals stood beside all others"
+
+
+def test_a_rival_in_the_place_of_a_name_begins_beside_the_other_names_and_ends_where_it_can() -> None:
+    """A constant torque, put in the place of a lag, makes up for none of it, beside a spring that stays."""
+    bare = still_problem()
+    windows = (*bare.fitted, *bare.proof)
+    hidden = [placement(bare, Candidate("actuator_lag", ("tilt",))), placement(bare, Candidate("spring", ("tilt",)))]
+    true = SimulatedRobot(bare.robot, tuple(hidden))
+    there = {"actuator_lag": 0.03, "spring.stiffness": 2.0}
+    values = [next((v for key, v in there.items() if p.name.startswith(key)), p.start) for p in true.space.parameters]
+    moved = rollout(true, np.array([values]), windows)
+    rng = np.random.default_rng(4)
+    noisy = [replace(w.episode, position=m[0] + rng.normal(0.0, NOISE, m[0].shape)) for w, m in zip(windows, moved, strict=True)]
+    problem = prepare(bare.robot, noisy, Settings())
+    usual = Fit(published(problem), np.zeros(0), np.zeros(0), np.zeros((0, 0)), 1.0)
+    both, _ = extend(usual, hidden)
+    fit = begin(both, both.simulated.space.to_unit(np.array(values)))
+    torque = Candidate("constant_torque", ("tilt",))
+    alone, absent = extend(usual, [placement(problem, torque)])
+    rival = Trial(torque, 0.1, begin(alone, alone.simulated.space.to_unit(absent)), np.ones(4), 0.5, True)
+    end = doubts.in_place(problem, fit, Candidate("actuator_lag", ("tilt",)), rival)
+    assert {p.effect.name for p in end.objective.simulated.placements} >= {"spring", "constant_torque"}
+    assert "actuator_lag" not in {p.effect.name for p in end.objective.simulated.placements}
+    assert end.ended and end.rms > 1.5 * fit.rms
