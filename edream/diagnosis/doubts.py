@@ -20,6 +20,7 @@ from edream.diagnosis.trials import Trial, is_another, judged
 from edream.sim.objective import rms
 
 STARTS = 2  # of a rival, the nearest, gone down from
+BEHIND = 2.0  # times the name's error: a rival that is left with more is told from it, wherever its valley ends
 
 
 def others_of(problem: Problem, own: Round, trial: Trial, named: Sequence[Candidate]) -> list[tuple[Trial, bool]]:
@@ -57,14 +58,15 @@ def asked_again(problem: Problem, fit: Fit, rounds: Sequence[Round], trials: Seq
 
 
 def in_place(problem: Problem, fit: Fit, name: Candidate, rival: Trial) -> Fit:
-    """The fit with a rival in the place of a name, gone down to its end from where the rival had ended and from its strengths."""
+    """The fit with a rival in the place of a name, gone down from where the rival had ended, or from its strengths."""
     bare, place = without(fit, name), placement(problem, rival.candidate)
     extended, absent = extend(bare, [place])
     space, ended = extended.simulated.space, rival.fit.space.mapping(rival.fit.values)
     own = {parameter.name for parameter in place.parameters(problem.robot.model)}
-    as_it_was = [np.array([ended.get(n, v) if n in own else v for n, v in zip(space.names, absent, strict=True)])]
-    with_its_numbers = [np.array([ended.get(n, v) for n, v in zip(space.names, absent, strict=True)])]
-    starts = np.array([*as_it_was, *with_its_numbers, *in_all_strengths(problem, place, extended, absent)])
+    beside_these = np.array([ended.get(n, v) if n in own else v for n, v in zip(space.names, absent, strict=True)])
+    beside_its_own = np.array([ended.get(n, v) for n, v in zip(space.names, absent, strict=True)])
+    starts = np.array([beside_these, beside_its_own, *in_all_strengths(problem, place, extended, absent)])
     nearest = np.argsort([rms(r) for r in extended.residuals(starts)])[:STARTS]
     ends = [descend(begin(extended, np.clip(space.to_unit(starts[i]), 0.0, 1.0)), None, ARRIVING) for i in nearest]
-    return polish(min(ends, key=lambda end: end.rms))
+    end = min(ends, key=lambda end: end.rms)
+    return end if end.rms > BEHIND * fit.rms else polish(end)
