@@ -53,7 +53,7 @@ def test_a_format_recognises_its_own_sample_and_no_other_format_does(entry: Form
 
 @pytest.mark.parametrize("entry", FORMATS, ids=lambda entry: entry.name)
 def test_recordings_have_rising_clocks_in_seconds_and_finite_positions(entry: Format, tmp_path: Path) -> None:
-    options = ReadOptions(fps=50.0) if entry.name in ("rlds", "aloha_hdf5") else ReadOptions()
+    options = ReadOptions(fps=50.0) if entry.name == "rlds" else ReadOptions()
     found = list(entry.recordings(make_sample(entry.name, tmp_path), options))
     assert found
     for one in found:

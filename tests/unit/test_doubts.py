@@ -29,10 +29,8 @@ def trial(effect: str, left: float, closed: float) -> Trial:
 @pytest.fixture
 def rounds() -> list[Round]:
     """A tilt that a spring does nearly as well as, then a dead zone."""
-    first, last = (
-        [trial("gravity_tilt", 12.0, 0.55), trial("spring", 12.4, 0.53), trial("cogging", 26.0, 0.02)],
-        [trial("dead_zone", 1.0, 1.0)],
-    )
+    first = [trial("gravity_tilt", 12.0, 0.55), trial("spring", 12.4, 0.53), trial("cogging", 26.0, 0.02)]
+    last = [trial("dead_zone", 1.0, 1.0)]
     fit = SimpleNamespace(rms=5.0)
     return [Round(fit, np.full(8, 27.0), [], first, first[0]), Round(fit, first[0].errors, [], last, last[0])]  # type: ignore[arg-type]
 

@@ -148,7 +148,7 @@ def test_conditions_reach_a_recording_whose_name_has_no_folder(tmp_path: Path) -
     (root / "soft").mkdir()
     shutil.copy(file, root / "soft" / "again.hdf5")
     (root / "soft" / "conditions.csv").write_text("recording,servo_gain\nagain,0.5\n")
-    said = {one.name: dict(one.conditions) for one in read_recordings(root, ReadOptions(fps=50.0)) if isinstance(one, Recording)}
+    said = {one.name: dict(one.conditions) for one in read_recordings(root) if isinstance(one, Recording)}
     assert said == {file.stem: {}, "again": {"servo_gain": 0.5}}
 
 

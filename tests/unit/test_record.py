@@ -26,7 +26,7 @@ def test_commands_of_a_table_are_played_joint_by_joint_by_name(robot: RobotModel
     config = RecordConfig(tmp_path / "data", motions=2, motion=tmp_path / "next.csv", rate=50.0)
     made = record(robot, config, seed=3)
     assert made["recordings"] == 2
-    first = next(iter(load("formats", "aloha_hdf5", Format).recordings(tmp_path / "data", ReadOptions(fps=50.0))))
+    first = next(iter(load("formats", "aloha_hdf5", Format).recordings(tmp_path / "data", ReadOptions())))
     command = dict(zip(robot.joints, np.asarray(first.command).T, strict=True))
     assert (
         command["pan"][0] == pytest.approx(0.0)

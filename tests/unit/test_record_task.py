@@ -24,7 +24,7 @@ SMALL = CellLook(("cam_high",), 32, 32)
 
 def read(folder: Path) -> list[Recording]:
     form = catalog.load("formats", "aloha_hdf5", Format)
-    return [one for one in form.recordings(folder, ReadOptions(fps=25.0)) if isinstance(one, Recording)]
+    return [one for one in form.recordings(folder, ReadOptions()) if isinstance(one, Recording)]
 
 
 @pytest.fixture(scope="module")
