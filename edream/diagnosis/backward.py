@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Float
@@ -82,6 +83,7 @@ def nearer_without(fit: Fit, trials: Sequence[Trial]) -> Fit | None:
     return ended if ended.rms < NEARER * fit.rms else None  # priors may have led away again
 
 
+@lru_cache(maxsize=8)  # names that stay are asked about once more, by their doubts
 def refitted_without(problem: Problem, fit: Fit, *candidates: Candidate) -> Fit:
     """The fit without some effects, from where it is and, for its numbers may have made up for something, from published ones."""
     smaller = fit
