@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from edream.diagnosis import decide, left_out, next_motion, screen
+from edream.diagnosis import backward, decide, left_out, next_motion, screen, trials
 from edream.diagnosis.candidates import Candidate
-from edream.diagnosis.descent import Fit, descend
+from edream.diagnosis.descent import Fit, begin, descend
 from edream.diagnosis.few import thinned
 from edream.diagnosis.next_motion import GLANCED, SECONDS, suggest
 from edream.diagnosis.problem import Problem
@@ -76,6 +76,28 @@ def test_recordings_that_end_a_little_early_count_as_whole(fit: Fit) -> None:
     longest = max(float(window.times[-1]) for window in fit.objective.windows)
     assert len(thinned(fit, 1.02 * longest).objective.windows) == 1
     assert len(thinned(fit, 1.2 * longest).objective.windows) == 2
+
+
+def test_first_looks_at_a_small_robot_take_some_of_its_motions(fit: Fit, problem: Problem, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert trials.on_few(problem, fit) is fit, "these are short"
+    longest = max(float(window.times[-1]) for window in fit.objective.windows)
+    monkeypatch.setattr(trials, "ENOUGH", 0.51 * longest)
+    few = trials.on_few(problem, fit)
+    assert len(few.objective.windows) == 1 and few.objective.simulated is fit.objective.simulated
+
+
+def test_what_is_left_without_a_name_is_refitted_once(
+    monkeypatch: pytest.MonkeyPatch, problem: Problem, fit: Fit, simulated: list[int]
+) -> None:
+    name = Candidate("spring", ("tilt",))
+    extended, absent = screen.extend(fit, [screen.placement(problem, name)])
+    with_it = begin(extended, np.clip(extended.simulated.space.to_unit(absent), 0.0, 1.0))
+    del simulated[:]
+    first = backward.refitted_without(problem, with_it, name)
+    assert simulated and name.effect not in [p.effect.name for p in first.objective.simulated.placements]
+    del simulated[:]
+    assert backward.refitted_without(problem, with_it, name) is first and simulated == []
+    assert backward.refitted_without(problem, replace(with_it), name) is not first, "another fit is asked anew"
 
 
 def test_a_special_case_that_stands_as_well_is_not_begun_again(
