@@ -79,17 +79,18 @@ class Round:
 
 
 def forward(
-    problem: Problem, fit: Fit, done: Callable[[str, int], object] = lambda text, n: None
+    problem: Problem, fit: Fit, done: Callable[[str, int], object] = lambda text, n: None, taken_before: Sequence[Round] = ()
 ) -> tuple[Problem, Fit, list[Round]]:
     """Add effects while they pass, the best on left-out motions first; before each, steps are made as short as they need to be.
 
-    The first round begins anew as long as candidates show that the usual numbers stand in a false valley.
+    The first round begins anew as long as candidates show that the usual numbers stand in a false valley. `taken_before` are rounds
+    that led to the fit, if any.
 
     Returns:
         The problem with the steps that were taken, the final fit, and every round, the last of which took nothing unless the most
         effects were reached.
     """
-    rounds: list[Round] = []
+    rounds = list(taken_before)
     while len(rounds) < problem.settings.most:
         problem, fit = with_short_steps(problem, fit)
         errors = predicted(problem, fit, rounds[-1].taken if rounds else None)

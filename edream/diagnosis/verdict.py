@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from edream.catalog import load
 from edream.core.effect import Effect
+from edream.diagnosis.another_way import by_another_way
 from edream.diagnosis.backward import backward, refitted_without, still_standing
 from edream.diagnosis.candidates import Candidate, placement, standing
 from edream.diagnosis.decide import Round, forward
@@ -90,6 +91,7 @@ def diagnose(problem: Problem, done: Callable[[str, int], object] = lambda text,
     problem, before = with_shares(problem, fit_nuisance(problem))
     done("nuisance", 1)
     problem, fit, rounds = forward(problem, before, done)
+    problem, fit, rounds = by_another_way(problem, fit, rounds, done)
     before = rounds[0].before
     ladder.append(("calibrated", np.sqrt(proof_errors(problem, before))))
     ladder += [(_label(one.taken), np.sqrt(proof_errors(problem, one.taken.fit))) for one in rounds if one.taken is not None]
