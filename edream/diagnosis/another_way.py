@@ -18,7 +18,7 @@ WAYS = 2  # of what the last name was not told from
 def by_another_way(
     problem: Problem, fit: Fit, rounds: Sequence[Round], done: Callable[[str, int], object] = lambda text, n: None
 ) -> tuple[Problem, Fit, list[Round]]:
-    """What `forward` found, or what it finds from a rival of its last name, where only that leads on until no clear gap is left.
+    """What `forward` found, or what it finds from a rival of its last name, where only that leaves no clear gap in the end.
 
     Two effects on one joint look like a third as long as they are not both known: a limit of the setpoint's speed beside friction
     at a place like a motor that is too weak, beside which nothing more was found.
@@ -32,8 +32,6 @@ def by_another_way(
         if not stands(problem, rival.candidate, start):
             continue
         sharper, end, found = forward(problem, start, done, [*rounds[:last], replace(rounds[last], taken=rival)])
-        if found[-1].taken is None and len(found) <= last + 2:
-            continue  # beside this one nothing more is found, either
         if not is_clear(sharper, predicted(sharper, end, found[-1].taken)):
             return sharper, end, found
     return problem, fit, list(rounds)

@@ -42,7 +42,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     monkeypatch.setattr(another_way, "arrived", lambda problem, before, taken: taken.fit)
     monkeypatch.setattr(another_way, "polish", lambda fit: fit)
     monkeypatch.setattr(another_way, "stands", lambda problem, candidate, fit: True)
-    monkeypatch.setattr(another_way, "predicted", lambda problem, fit, taken: np.full(8, LEFT[0]))
+    monkeypatch.setattr(another_way, "predicted", lambda problem, fit, taken: np.full(8, LEFT[0] if fit == "the end" else 30.0))
     LEFT[0] = 1.1
     return asked
 
