@@ -22,6 +22,15 @@ def by_another_way(
 
     Two effects on one joint look like a third as long as they are not both known: a limit of the setpoint's speed beside friction
     at a place like a motor that is too weak, beside which nothing more was found.
+
+    Args:
+        problem: with the steps that `forward` took.
+        fit: its end.
+        rounds: its rounds.
+        done: called with what is under way and how many units of it are finished.
+
+    Returns:
+        What `forward` returns.
     """
     names = [one.taken for one in rounds if one.taken is not None]
     if not names or rounds[-1].taken is not None or not is_clear(problem, rounds[-1].errors):

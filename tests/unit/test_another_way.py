@@ -34,20 +34,24 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         assert last is not None
         asked.append(last.candidate.effect)
         if last.candidate.effect != "slew_limit":
-            return problem, fit, [*before, a_round(30.0, [], None)]
-        more = trial("position_friction", LEFT[0], 1.0)
-        return problem, "the end", [*before, a_round(30.0, [more], more), a_round(LEFT[0], [], None)]
+            return problem, fit, [*before, a_round(LEFT["beside the spring"], [], None)]
+        more = trial("position_friction", LEFT["beside the slew limit"], 1.0)
+        return problem, "the end", [*before, a_round(30.0, [more], more), a_round(LEFT["beside the slew limit"], [], None)]
 
     monkeypatch.setattr(another_way, "forward", forward)
     monkeypatch.setattr(another_way, "arrived", lambda problem, before, taken: taken.fit)
     monkeypatch.setattr(another_way, "polish", lambda fit: fit)
     monkeypatch.setattr(another_way, "stands", lambda problem, candidate, fit: True)
-    monkeypatch.setattr(another_way, "predicted", lambda problem, fit, taken: np.full(8, LEFT[0] if fit == "the end" else 30.0))
-    LEFT[0] = 1.1
+    monkeypatch.setattr(
+        another_way,
+        "predicted",
+        lambda problem, fit, taken: np.full(8, LEFT["beside the slew limit" if fit == "the end" else "beside the spring"]),
+    )
+    monkeypatch.setitem(LEFT, "beside the slew limit", 1.1)
     return asked
 
 
-LEFT = [1.1]  # of squared floors, at the end of the other way
+LEFT = {"beside the slew limit": 1.1, "beside the spring": 30.0}  # squared floors at the end of another way
 
 
 def stuck(left: float, rival: float = 31.0) -> list[Round]:
@@ -76,7 +80,7 @@ def test_a_rival_beside_which_the_gap_closes_takes_the_place_of_a_name(asked: li
 def test_names_stay_where_no_other_way_leads_to_the_end(
     asked: list[str], rounds: list[Round], left: float, tried: list[str]
 ) -> None:
-    LEFT[0] = left
+    LEFT["beside the slew limit"] = left
     assert another_way.by_another_way(PROBLEM, FIT, rounds) == (PROBLEM, FIT, rounds)  # type: ignore[arg-type]
     assert asked == tried
 
@@ -86,5 +90,19 @@ def test_a_rival_that_does_not_stand_at_its_end_leads_nowhere(asked: list[str], 
     rounds = stuck(30.0)
     assert another_way.by_another_way(PROBLEM, FIT, rounds)[2] == rounds  # type: ignore[arg-type]
     assert asked == ["spring"]
+
+
+def test_a_rival_that_leaves_no_clear_gap_by_itself_takes_the_place_of_a_name(
+    asked: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(LEFT, "beside the spring", 1.2)
+    _, _, found = another_way.by_another_way(PROBLEM, FIT, stuck(30.0))  # type: ignore[arg-type]
+    assert asked == ["spring"]
+    assert [one.taken.candidate.effect if one.taken else None for one in found] == ["spring", None]
+
+
+def test_names_that_lead_on_to_the_last_round_stay(asked: list[str]) -> None:
+    rounds = stuck(30.0)
     taken = [replace(one, taken=one.trials[0] if one.trials else trial("cogging", 1.0, 1.0)) for one in rounds]
     assert another_way.by_another_way(PROBLEM, FIT, taken)[2] == taken  # type: ignore[arg-type]
+    assert asked == []
