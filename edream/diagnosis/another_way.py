@@ -4,10 +4,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from edream.diagnosis.backward import stands
-from edream.diagnosis.decide import Round, forward
+from edream.diagnosis.decide import Round
 from edream.diagnosis.descent import Fit, polish
 from edream.diagnosis.doubts import doubtful
 from edream.diagnosis.ends import arrived
+from edream.diagnosis.forward import forward
 from edream.diagnosis.left_out import is_clear
 from edream.diagnosis.problem import Problem
 from edream.diagnosis.trials import predicted

@@ -8,28 +8,22 @@ from jaxtyping import Float
 
 from edream.catalog import load
 from edream.core.effect import Effect
-from edream.diagnosis.astray import screen_twice
-from edream.diagnosis.backward import nearer_without, passes, stands, without
-from edream.diagnosis.candidates import Candidate, acted_on, confused_with, placement, untouched
+from edream.diagnosis.backward import passes, without
+from edream.diagnosis.candidates import Candidate, acted_on, confused_with, placement
 from edream.diagnosis.descent import Fit, begin, descend, polish
-from edream.diagnosis.ends import SHAPES, arrived, begun_again, to_their_ends
-from edream.diagnosis.finer import closes_more, finest
+from edream.diagnosis.ends import SHAPES, begun_again, to_their_ends
+from edream.diagnosis.finer import closes_more
 from edream.diagnosis.left_out import (
-    asks_for_more,
     bootstrap,
-    falls_short,
     is_brief,
-    is_material,
     leaves_no_gap,
 )
-from edream.diagnosis.narrowing import narrowed
 from edream.diagnosis.nearest import from_nearest, placed_at
 from edream.diagnosis.problem import Problem
-from edream.diagnosis.remainder import Remainder, find_remainder
+from edream.diagnosis.remainder import Remainder
 from edream.diagnosis.screen import Scored, extend
 from edream.diagnosis.side_by_side import side_by_side
 from edream.diagnosis.starts import fresh_columns, in_all_strengths_beside_published, of_joints
-from edream.diagnosis.steps import with_short_steps
 from edream.diagnosis.suspects import elsewhere
 from edream.diagnosis.trials import (
     HOPELESS,
@@ -41,12 +35,9 @@ from edream.diagnosis.trials import (
     judged,
     on_few,
     other_answers,
-    predicted,
     refitted,
-    try_best,
-    with_bold,
+    rms_among,
 )
-from edream.diagnosis.wanting import with_put_back, with_rough
 from edream.sim.least_squares import worth
 
 ALIKE = 0.9  # a rival that closes this share of what the winner closes may be the true one
@@ -58,9 +49,7 @@ DISTINCT = 0.5  # of the floor squared, or of the error where that is larger
 FEWEST = 3  # motions that a difference may rest on
 TWIN_STEPS, FIRST_STEPS = 6, 2  # of a twin, whose joint's numbers have made up for it: a lag beside damping and inertia goes slowly
 FORLORN = 0.2  # of the best one's gain on few motions: a twin that has gained less by its first steps is none
-CLEARLY = 0.75  # of the squared error above the floor that a stand-in leaves
 GENERATIONS = 2  # of twins that are heard
-STAND_INS = 2  # names that together close less than half of a real gap: no further one is looked for
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,99 +65,6 @@ class Round:
     trials: Sequence[Trial]
     taken: Trial | None
     formula: Remainder | None = None
-
-
-def forward(
-    problem: Problem, fit: Fit, done: Callable[[str, int], object] = lambda text, n: None, taken_before: Sequence[Round] = ()
-) -> tuple[Problem, Fit, list[Round]]:
-    """Add effects while they pass, the best on left-out motions first; before each, steps are made as short as they need to be.
-
-    The first round begins anew as long as candidates show that the usual numbers stand in a false valley. `taken_before` are rounds
-    that led to the fit, if any.
-
-    Returns:
-        The problem with the steps that were taken, the final fit, and every round, the last of which took nothing unless the most
-        effects were reached.
-    """
-    rounds = list(taken_before)
-    while len(rounds) < problem.settings.most:
-        problem, fit = with_short_steps(problem, fit)
-        errors = predicted(problem, fit, rounds[-1].taken if rounds else None)
-        first = rounds[0].errors if rounds else errors
-        bare = untouched(problem, [one.taken.candidate for one in rounds if one.taken is not None])
-        told = asks_for_more(problem, fit, first, errors, bare)
-        if not told or (len(rounds) >= STAND_INS and falls_short(problem, first, errors)):
-            rounds.append(Round(fit, errors, [], [], None))
-            break
-        scored = screen_twice(problem, fit, lambda n: done("screening", n))
-        trials = try_best(problem, fit, errors, scored, lambda n: done("refitting", n))
-        # beside names that were taken it would ask whether those still stand
-        if not rounds and (nearer := nearer_without(fit, trials)) is not None:
-            fit = nearer  # so much nearer that this ends
-            continue
-        if not rounds:  # later ones begin at numbers that make up for less
-            trials = with_bold(problem, fit, errors, trials, lambda n: done("searching", n))
-        trials = with_rough(problem, fit, errors, trials, lambda n: done("searching", n))
-        trials = with_put_back(problem, fit, errors, trials, lambda n: done("searching", n))
-        trials = with_confusable(problem, fit, errors, scored, trials, lambda n: done("refitting", n))
-        trials = settled(problem, fit, errors, trials)
-        trials = restarted(problem, errors, trials)
-        trials = simplified(problem, fit, errors, trials)
-        if not rounds and (formula := outdone(problem, fit, errors, trials)) is not None:
-            rounds.append(Round(fit, errors, scored, trials, None, formula))
-            break
-        passing = [t for t in trials if passes(problem, t) and matters(problem, first, errors, fit, t, bare)]
-        taken, ended = first_that_stands(problem, fit, passing)
-        if taken is not None and (fewer := narrowed(problem, fit, errors, taken, ended)) is not None:
-            trial, there = fewer
-            if stands(problem, trial.candidate, there) and not told_apart(problem, trial, taken):
-                taken, ended = trial, there
-        if taken is not None:
-            there = [t for t in passing if t.candidate.targets == taken.candidate.targets and t.candidate != taken.candidate]
-            taken, ended = finest(problem, fit, errors, taken, ended, there)
-            trials = sorted([taken, *(t for t in trials if t.candidate != taken.candidate)], key=lambda t: -t.closed)
-        rounds.append(Round(fit, errors, scored, trials, taken))
-        if taken is None:
-            break
-        fit = ended
-    return problem, fit, rounds
-
-
-def outdone(problem: Problem, fit: Fit, errors: Float[np.ndarray, "M"], trials: Sequence[Trial]) -> Remainder | None:
-    """A formula that leaves clearly less than the best candidate does, where that closes less than half of a real gap.
-
-    The largest of several effects closes half of what they do together, mostly; what closes less is a stand-in.
-    """
-    best = max((t for t in trials if t.sure), key=lambda t: t.closed, default=None)
-    left = errors if best is None else best.errors
-    found = find_remainder(problem, fit) if falls_short(problem, errors, left) else None
-    if found is None or not found.real:
-        return None
-    better, _ = bootstrap(left - found.errors, problem.settings.seed)
-    floor = problem.floor**2
-    return found if better > 0.0 and found.errors.mean() - floor < CLEARLY * (left.mean() - floor) else None
-
-
-def first_that_stands(problem: Problem, fit: Fit, passing: Sequence[Trial]) -> tuple[Trial | None, Fit]:
-    """The best of the candidates that pass and still do at the end of their search, where intervals are true; and the fit there.
-
-    Before, one may seem to be known that lets a number beside its own (where the servo's damping acts) close the gap.
-    """
-    left = list(passing)
-    while (taken := simplest(problem, left)) is not None:
-        here = taken.fit.ended and leaves_no_gap(problem, taken.fit)
-        ended = taken.fit if here else polish(arrived(problem, fit, taken))
-        if stands(problem, taken.candidate, ended):
-            return taken, ended
-        left.remove(taken)
-    return None, fit
-
-
-def matters(
-    problem: Problem, first: Float[np.ndarray, "M"], errors: Float[np.ndarray, "M"], fit: Fit, trial: Trial, bare: frozenset[str]
-) -> bool:
-    """Whether a candidate's gain is worth a name beside the gap that was there at first; always so for the first one."""
-    return first is errors or is_material(problem, first, (errors, fit), (trial.errors, trial.fit), bare)
 
 
 def settled(problem: Problem, fit: Fit, errors: Float[np.ndarray, "M"], trials: Sequence[Trial]) -> list[Trial]:
@@ -330,7 +226,8 @@ def heard(
     # by a few steps with stale columns a lag is lost behind a delay
     tried = [t.candidate for t in trials if t.closed >= ALIKE * best.closed or t.candidate.targets != best.candidate.targets]
     twins = list({s.candidate: s for s in (*chosen.values(), *others) if s.candidate not in tried}.values())
-    few, most = on_few(problem, fit), 1.0 - (best.fit.rms / fit.rms) ** 2
+    few = on_few(problem, fit)
+    most = 1.0 - (rms_among(few, best.fit) / few.rms) ** 2
 
     def refitted_there(one: Scored) -> Trial | None:
         joints = acted_on(one.candidate)

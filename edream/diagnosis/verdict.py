@@ -12,11 +12,12 @@ from edream.core.effect import Effect
 from edream.diagnosis.another_way import by_another_way
 from edream.diagnosis.backward import backward, refitted_without, still_standing
 from edream.diagnosis.candidates import Candidate, placement, standing
-from edream.diagnosis.decide import Round, forward
+from edream.diagnosis.decide import Round
 from edream.diagnosis.descent import Fit, polish
 from edream.diagnosis.doubts import asked_again, doubtful, others_of
 from edream.diagnosis.exchange import exchanged
 from edream.diagnosis.finer import with_plain
+from edream.diagnosis.forward import forward
 from edream.diagnosis.left_out import (
     agreement,
     bootstrap,

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from edream.diagnosis import decide, trials
+from edream.diagnosis import forward, trials
 from edream.diagnosis.candidates import Candidate
 from edream.diagnosis.trials import Trial
 
@@ -35,9 +35,9 @@ def test_a_round_begins_anew_where_the_fit_left_a_false_valley(monkeypatch: pyte
         "nearer_without": lambda fit, trials: near,
     }
     for name, stand_in in told.items():
-        monkeypatch.setattr(decide, name, stand_in)
+        monkeypatch.setattr(forward, name, stand_in)
     problem = SimpleNamespace(settings=SimpleNamespace(most=4))
-    _, fit, rounds = decide.forward(problem, far)  # type: ignore[arg-type]
+    _, fit, rounds = forward.forward(problem, far)  # type: ignore[arg-type]
     assert (fit, looked) == (near, [far])
     assert [(one.before, one.taken) for one in rounds] == [(near, None)]
     np.testing.assert_array_equal(rounds[0].errors, [1.0, 1.0])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from edream.core.parameters import targets_in
-from edream.diagnosis import candidates, decide, ends, left_out, trials, verdict
+from edream.diagnosis import decide, ends, forward, left_out, trials, verdict
 from edream.diagnosis.candidates import Candidate, placement
 from edream.diagnosis.nuisance import fit_nuisance
 from edream.diagnosis.problem import Settings, prepare
@@ -22,63 +22,6 @@ from tests.still_problem import NOISE, FitOf, still_problem
 
 def _trial(effect: str, closed: float) -> Trial:
     return Trial(Candidate(effect, ("tilt",)), 0.0, SimpleNamespace(name=effect), np.zeros(4), closed, True)
-
-
-def _refits_to(monkeypatch: pytest.MonkeyPatch, end: Trial) -> None:
-    """Every candidate can be placed, and its refit ends where `end` does."""
-    told = {
-        "on_few": lambda problem, fit: fit,
-        "placed_at": lambda problem, fit, targets, known: [Scored(Candidate(e.name, targets), {}, 0.0) for e in known],
-        "elsewhere": lambda problem, fit, best: [],
-        "refitted": lambda problem, fit, one, iterations, joints: SimpleNamespace(rms=1.0, objective=None),
-        "from_nearest": lambda problem, fit, one, starts_of, iterations: SimpleNamespace(rms=1.0),
-        "fresh_columns": lambda fit, objective: np.ones(1, bool),
-        "of_joints": lambda objective, joints: np.ones(1, bool),
-        "descend": lambda fit, fresh, iterations: fit,
-        "gone_on": lambda fit, begun, joints: begun,
-        "judged": lambda problem, fit, errors, one: replace(end, candidate=one.candidate),
-    }
-    for name, stand_in in told.items():
-        monkeypatch.setattr(decide, name, stand_in)
-
-
-@pytest.mark.parametrize(("tried", "closed", "heard"), [("pan", 0.1, ["tilt"]), ("tilt", 0.1, ["tilt"]), ("tilt", 0.85, [])])
-def test_what_the_best_one_is_confused_with_is_heard_where_that_one_acts(
-    monkeypatch: pytest.MonkeyPatch, tried: str, closed: float, heard: list[str]
-) -> None:
-    """What was tried where the score test liked it says nothing of this joint; what came to little here needs more patience."""
-    fit = SimpleNamespace(rms=2.0)
-    best = replace(_trial("torque_speed_limit", 0.9), fit=SimpleNamespace(rms=1.0))
-    drag = replace(_trial("quadratic_drag", closed), candidate=Candidate("quadratic_drag", (tried,)))
-    effects = [SimpleNamespace(name=name, confusable=(), place="joint") for name in ("quadratic_drag", "payload")]
-    monkeypatch.setattr(candidates, "library", lambda problem: effects)
-    monkeypatch.setattr(decide, "passes", lambda problem, t: t.closed > 0.5)
-    monkeypatch.setattr(decide, "told_apart", lambda problem, worse, better: True)
-    _refits_to(monkeypatch, replace(best, closed=0.8))
-    scored = [Scored(Candidate("quadratic_drag", ("pan",)), {}, 0.2), Scored(Candidate("payload", ("head",)), {}, 0.1)]
-    problem = SimpleNamespace(settings=SimpleNamespace(threads=1))
-    found = decide.with_confusable(problem, fit, np.zeros(4), scored, [best, drag])
-    assert [t.candidate.targets[0] for t in found if t not in (best, drag)] == heard
-    assert {t.candidate.effect for t in found} == {"torque_speed_limit", "quadratic_drag"}
-
-
-@pytest.mark.parametrize(("told", "heard"), [(False, ["load_friction", "presliding"]), (True, [])])
-def test_twins_of_what_cannot_be_told_from_the_best_are_heard_too(
-    monkeypatch: pytest.MonkeyPatch, told: bool, heard: list[str]
-) -> None:
-    """A spring may be an efficiency, whose twin is friction with the load, which has another; no twin is asked twice."""
-    fit = SimpleNamespace(rms=2.0)
-    both = _trial("spring", 0.9), _trial("directional_efficiency", 0.8)
-    best, rival = (replace(one, fit=SimpleNamespace(rms=1.0)) for one in both)
-    friction, sliding, far = (SimpleNamespace(name=name, place="joint") for name in ("load_friction", "presliding", "coulomb"))
-    known = {"spring": [], "directional_efficiency": [friction], "load_friction": [friction, sliding], "presliding": [far]}
-    monkeypatch.setattr(decide, "confused_with", lambda problem, effect: known[effect])
-    monkeypatch.setattr(decide, "passes", lambda problem, trial: True)
-    monkeypatch.setattr(decide, "told_apart", lambda problem, worse, better: told)
-    _refits_to(monkeypatch, replace(best, closed=0.85))
-    problem = SimpleNamespace(settings=SimpleNamespace(threads=1))
-    found = decide.with_confusable(problem, fit, np.zeros(4), [], [best, rival])
-    assert [t.candidate.effect for t in found if t not in (best, rival)] == heard
 
 
 def test_rivals_begin_again_from_the_best_ones_numbers_once_for_each_answer(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -108,30 +51,6 @@ def test_rivals_begin_again_from_the_best_ones_numbers_once_for_each_answer(monk
     assert trials.other_answers(tilted, [tilted, best]) == [best]
 
 
-@pytest.mark.parametrize(("effect", "heard"), [("payload", ["wrist"]), ("spring", ["wrist"]), ("cogging", [])])
-def test_of_effects_on_links_the_outermost_link_is_heard_too(
-    monkeypatch: pytest.MonkeyPatch, effect: str, heard: list[str]
-) -> None:
-    """The score test liked a negative payload on the upper arm; usual numbers had made up for most of what the wrist carries."""
-    fit, known = SimpleNamespace(rms=2.0), [SimpleNamespace(name="payload", place="body")] if effect == "spring" else []
-    best = replace(_trial(effect, 0.9), fit=SimpleNamespace(rms=1.0))
-    upper = replace(_trial("payload", 0.2), candidate=Candidate("payload", ("upper_arm",)))
-    monkeypatch.setattr(decide, "confused_with", lambda problem, effect: known)
-    monkeypatch.setattr(decide, "passes", lambda problem, trial: trial is best)
-    monkeypatch.setattr(decide, "told_apart", lambda problem, worse, better: True)
-    _refits_to(monkeypatch, replace(best, closed=0.8))
-    monkeypatch.setattr(decide, "placed_at", lambda problem, fit, targets, known: [])
-    monkeypatch.setattr(
-        decide,
-        "elsewhere",
-        lambda problem, fit, best: [Scored(Candidate(name, ("wrist",)), {}, 0.0) for name in ("payload", "hum")],
-    )
-    scored = [Scored(upper.candidate, {}, 0.3), Scored(Candidate("payload", ("wrist",)), {}, 0.1)]
-    problem = SimpleNamespace(settings=SimpleNamespace(threads=1))
-    found = decide.with_confusable(problem, fit, np.zeros(4), scored, [best, upper])
-    assert [t.candidate for t in found if t not in (best, upper)] == [Candidate("payload", (link,)) for link in heard]
-
-
 @pytest.mark.parametrize(
     ("pan", "tilt", "sound", "far"),
     [(0.4, 3.5, False, True), (0.4, 3.5, True, False), (2.5, 2.5, False, False), (25.0, 25.0, True, True)],
@@ -149,15 +68,15 @@ def test_one_joint_that_is_clearly_off_beside_incredible_numbers_is_far_off(
 
 def test_what_does_not_stand_at_the_end_of_its_search_gives_way_to_the_next(monkeypatch: pytest.MonkeyPatch) -> None:
     limit, spring = (replace(_trial(name, 0.9), fit=FitOf(name, 2.0)) for name in ("torque_speed_limit", "spring"))
-    monkeypatch.setattr(decide, "simplest", lambda problem, left: left[0] if left else None)
-    monkeypatch.setattr(decide, "arrived", lambda problem, fit, taken: taken.candidate.effect)
-    monkeypatch.setattr(decide, "polish", lambda fit: fit)
-    monkeypatch.setattr(decide, "stands", lambda problem, candidate, ended: candidate.effect == "spring")
-    assert decide.first_that_stands(None, "before", [limit, spring]) == (spring, "spring")
-    assert decide.first_that_stands(None, "before", [limit]) == (None, "before")
-    monkeypatch.setattr(decide, "polish", lambda fit: pytest.fail("it is at its end already"))
+    monkeypatch.setattr(forward, "simplest", lambda problem, left: left[0] if left else None)
+    monkeypatch.setattr(forward, "arrived", lambda problem, fit, taken: taken.candidate.effect)
+    monkeypatch.setattr(forward, "polish", lambda fit: fit)
+    monkeypatch.setattr(forward, "stands", lambda problem, candidate, ended: candidate.effect == "spring")
+    assert forward.first_that_stands(None, "before", [limit, spring]) == (spring, "spring")
+    assert forward.first_that_stands(None, "before", [limit]) == (None, "before")
+    monkeypatch.setattr(forward, "polish", lambda fit: pytest.fail("it is at its end already"))
     there = replace(spring, fit=FitOf("spring", 1.0, ended=True))
-    assert decide.first_that_stands(SimpleNamespace(floor=1.0), "before", [there]) == (there, there.fit)
+    assert forward.first_that_stands(SimpleNamespace(floor=1.0), "before", [there]) == (there, there.fit)
 
 
 def test_the_joints_of_a_number_are_told_by_whole_names() -> None:
@@ -331,13 +250,13 @@ def test_a_formula_goes_before_a_name_that_closes_little_of_a_real_gap(
     problem = SimpleNamespace(floor=1.0, settings=SimpleNamespace(seed=0))
     names = [] if name is None else [replace(_trial("backlash", 0.3), errors=np.full(6, name))]
     found = None if formula is None else SimpleNamespace(real=True, errors=np.full(6, formula))
-    monkeypatch.setattr(decide, "find_remainder", lambda problem, fit: found)
-    assert decide.outdone(problem, None, np.full(6, 25.0), names) is (found if outdone else None)
+    monkeypatch.setattr(forward, "find_remainder", lambda problem, fit: found)
+    assert forward.outdone(problem, None, np.full(6, 25.0), names) is (found if outdone else None)
 
 
 def test_no_formula_is_looked_for_where_no_gap_is_worth_a_name(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(decide, "find_remainder", lambda problem, fit: pytest.fail("a small gap"))
-    assert decide.outdone(SimpleNamespace(floor=1.0), None, np.full(6, 2.0), []) is None
+    monkeypatch.setattr(forward, "find_remainder", lambda problem, fit: pytest.fail("a small gap"))
+    assert forward.outdone(SimpleNamespace(floor=1.0), None, np.full(6, 2.0), []) is None
 
 
 def _rounds(monkeypatch: pytest.MonkeyPatch, left: list[float], joint_errors: list[float]) -> list[decide.Round]:
@@ -361,12 +280,19 @@ def _rounds(monkeypatch: pytest.MonkeyPatch, left: list[float], joint_errors: li
         "first_that_stands": lambda problem, fit, passing: (passing[0] if passing else None, fit),
         "narrowed": lambda problem, fit, errors, taken, ended: (replace(taken, share=0.2), fit),
     }
-    for name, stand_in in (told | {"stands": lambda *one: True, "told_apart": lambda *one: False}).items():
-        monkeypatch.setattr(decide, name, stand_in)
+    for name, stand_in in (
+        told
+        | {
+            "stands": lambda *one: True,
+            "doubted_instead": lambda problem, fit, rounds, done: (fit, rounds),
+            "told_apart": lambda *one: False,
+        }
+    ).items():
+        monkeypatch.setattr(forward, name, stand_in)
     monkeypatch.setattr(left_out, "gained_on", lambda problem, joints, before, after: 0.0)
     monkeypatch.setattr(left_out, "joint_errors", lambda problem, fit: np.array(joint_errors))
     problem = SimpleNamespace(floor=1.0, joints=("tilt", "pan"), settings=SimpleNamespace(most=4))
-    return decide.forward(problem, SimpleNamespace(rms=9.0))[2]
+    return forward.forward(problem, SimpleNamespace(rms=9.0))[2]
 
 
 @pytest.mark.parametrize(("left", "names"), [([100.0, 90.0, 80.0, 70.0], 2), ([100.0, 90.0, 40.0, 1.0], 3)])
@@ -394,4 +320,4 @@ def test_a_small_gain_is_worth_a_name_where_it_is_made_on_a_joint_without_one(ba
     problem = SimpleNamespace(floor=1.0, joints=("tilt", "pan"))
     fit, after = (SimpleNamespace(residual=np.tile([1.0, pan], 5)) for pan in (1.5, 1.0))
     trial = Trial(Candidate("payload", ("head",)), 0.0, after, np.full(6, 1.0), 0.9, True)
-    assert decide.matters(problem, np.full(6, 200.0**2), np.full(6, 1.3**2), fit, trial, frozenset(bare)) is worth
+    assert forward.matters(problem, np.full(6, 200.0**2), np.full(6, 1.3**2), fit, trial, frozenset(bare)) is worth
