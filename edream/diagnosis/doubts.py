@@ -57,10 +57,10 @@ def asked_again(problem: Problem, fit: Fit, rounds: Sequence[Round], trials: Seq
     return names, out
 
 
-def in_place(problem: Problem, fit: Fit, name: Candidate, rival: Trial) -> Fit:
+def in_place(problem: Problem, fit: Fit, name: Candidate, rival: Trial, behind: float = BEHIND) -> Fit:
     """The fit with a rival in the place of a name, gone down from where the rival had ended, or from its strengths.
 
-    That is done on as much motion as first looks take; what comes near goes to its end on all.
+    That is done on as much motion as first looks take; what is left with no more than so many times the fit's error goes on on all.
     """
     bare, place = without(fit, name), placement(problem, rival.candidate)
     extended, absent = extend(bare, [place])
@@ -73,4 +73,4 @@ def in_place(problem: Problem, fit: Fit, name: Candidate, rival: Trial) -> Fit:
     nearest = np.argsort([rms(r) for r in few.residuals(starts)])[:STARTS]
     ends = [descend(begin(few, np.clip(space.to_unit(starts[i]), 0.0, 1.0)), None, ARRIVING) for i in nearest]
     end = begin(extended, min(ends, key=lambda end: end.rms).unit)
-    return end if end.rms > BEHIND * fit.rms else polish(end)
+    return end if end.rms > behind * fit.rms else polish(end)

@@ -36,7 +36,8 @@ def doubted_instead(
             continue
         named = [r.taken.candidate for r in out if r.taken is not None]
         others = doubtful(problem, one, one.taken, named)
-        ends = list(side_by_side(partial(in_place, problem, fit, one.taken.candidate), others, problem.settings.threads))
+        put = partial(in_place, problem, fit, one.taken.candidate, behind=1.0)  # what comes no nearer is not better
+        ends = list(side_by_side(put, others, problem.settings.threads))
         done(1)
         if not ends:
             continue

@@ -50,6 +50,7 @@ LIKELIEST = 3  # by the score test: they are refitted on whole motions even wher
 HOPELESS = 0.4  # of the best candidate's gain after two steps: those below are not refitted to the end
 SERIOUS_SHARE = 0.01
 NEARLY = 0.9  # of the squared gap above the floor: what is left asks for no search of every effect
+ALL_BUT = 0.99  # of it, nine tenths of the error: what is left, however real, is rather what another effect does
 FARTHER = 2  # of these, begun beside published numbers, go to their ends beyond the first ones of all
 UNLIKELY = 0.3  # of the largest share by the score test: those below wait, and are not refitted where another closes nearly all
 TOLD = 0.02  # of the squared error: what a candidate's search gains less by does not change what it is worth beside others
@@ -139,8 +140,8 @@ def nearly_closed(problem: Problem, before: Fit, left: float) -> bool:
 
 
 def leaves_little(problem: Problem, trial: Trial) -> bool:
-    """Whether a refitted candidate closes nearly all of the gap, and what it leaves is none that asks for a name."""
-    return trial.closed >= NEARLY and not is_real(problem, trial.errors)
+    """Whether a refitted candidate closes all but little of the gap, or nearly all and leaves none that asks for a name."""
+    return trial.closed >= ALL_BUT or (trial.closed >= NEARLY and not is_real(problem, trial.errors))
 
 
 def on_few(problem: Problem, fit: Fit) -> Fit:

@@ -37,7 +37,7 @@ def world(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str]]:
     """Which rival was put in the place of which name."""
     asked: list[tuple[str, str]] = []
 
-    def in_place(problem: object, fit: object, name: Candidate, rival: Trial) -> SimpleNamespace:
+    def in_place(problem: object, fit: object, name: Candidate, rival: Trial, **options: float) -> SimpleNamespace:
         asked.append((name.effect, rival.candidate.effect))
         return SimpleNamespace(rms=BESIDE[rival.candidate.effect] ** 0.5, unit=np.zeros(3))
 

@@ -70,8 +70,12 @@ def test_every_effect_is_tried_boldly_only_where_the_likeliest_leave_a_gap(
     assert [t.closed for t in best] == sorted(found.values(), reverse=True)
 
 
-@pytest.mark.parametrize(("closed", "left", "little"), [(0.95, 1.2, True), (0.95, 2.5, False), (0.8, 1.2, False)])
-def test_little_is_left_where_nearly_all_is_closed_and_no_real_gap_stays(closed: float, left: float, little: bool) -> None:
+@pytest.mark.parametrize(
+    ("closed", "left", "little"), [(0.95, 1.2, True), (0.95, 2.5, False), (0.8, 1.2, False), (0.995, 2.5, True)]
+)
+def test_little_is_left_where_nearly_all_is_closed_and_no_real_gap_stays_or_all_but_little_is_closed(
+    closed: float, left: float, little: bool
+) -> None:
     problem, errors = SimpleNamespace(floor=4e-4), np.full(6, (left * 4e-4) ** 2)
     assert trials.leaves_little(problem, replace(_trial("spring", closed), errors=errors)) is little  # type: ignore[arg-type]
 
