@@ -23,6 +23,7 @@ from edream.diagnosis.left_out import (
     bootstrap,
     does_better,
     falls_short,
+    is_clear,
     is_left,
     is_real,
     proof_errors,
@@ -266,13 +267,15 @@ def unexplained(
     """What has no name: a formula for what the named effects leave, or one that does better alone than all of them together.
 
     None where the gap is closed, or what is left is small beside what one effect explains, or no formula holds on left-out motions.
-    Where several effects were needed, each of which took what the last one had left, they may be stand-ins for something else.
+    What several effects leave is not small where it is clear. Where several were needed, each of which took what the last one had
+    left, they may be stand-ins for something else.
     `first` and `left` are the errors on motions left out, without the named effects and with them.
     """
     start, end, floor = float(first.mean()), float(left.mean()), problem.floor**2
     if not is_real(problem, left):
         return None
     closed = bool(trials) and np.sqrt(start) - np.sqrt(end) >= CLOSED * (np.sqrt(start) - problem.floor)
+    closed = closed and not (len(trials) > 1 and is_clear(problem, left))
     if not closed:
         beside = find_remainder(problem, fit, beside_names=bool(trials))
         if beside is not None and beside.real:
