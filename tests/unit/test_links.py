@@ -58,6 +58,7 @@ def test_what_has_been_heard_is_not_heard_again(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(decide, "placed_at", lambda problem, fit, targets, known: [])
     monkeypatch.setattr(decide, "elsewhere", lambda problem, fit, one: [Scored(best.candidate, {}, 0.0)])
     monkeypatch.setattr(decide, "refitted", lambda problem, fit, one, **rest: begun.append(one.candidate))
+    monkeypatch.setattr(decide, "rms_among", lambda few, fit: fit.rms)
     known = [SimpleNamespace(name="payload", place="body")]
     problem = SimpleNamespace(settings=SimpleNamespace(threads=1))
     more = decide.heard(problem, SimpleNamespace(rms=2.0), np.zeros(4), [], [best], best, known, lambda n: None)
