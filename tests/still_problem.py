@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from edream.diagnosis.descent import Fit, begin
 from edream.diagnosis.nuisance import published
 from edream.diagnosis.problem import Problem, Settings, nuisance_placements, prepare
 from edream.diagnosis.screen import extend, with_quantities
+from edream.diagnosis.trials import Trial
 from edream.ingest.recordings import ingest_recordings
 from edream.reality.truth import Truth, seal
 from edream.record import RecordConfig, record
@@ -94,3 +96,14 @@ class FitOf:
     objective: object = None
     residual: object = None
     ended: bool = False
+
+
+def trial_of(effect: str, closed: float) -> Trial:
+    """A candidate on `tilt`, surely that good, of whose fit the name is told."""
+    return Trial(Candidate(effect, ("tilt",)), 0.0, FitOf(effect, 1.0), np.zeros(4), closed, True)  # type: ignore[arg-type]
+
+
+def left_by(effect: str, left: float, closed: float = 0.9) -> Trial:
+    """A candidate on `pan` that leaves so much of each of eight motions, squared, and surely closes a share of a gap."""
+    fit = SimpleNamespace(rms=left**0.5, unit=np.zeros(3))
+    return Trial(Candidate(effect, ("pan",)), 0.1, fit, np.full(8, left), closed, True)  # type: ignore[arg-type]

@@ -46,15 +46,32 @@ def asked_again(problem: Problem, fit: Fit, rounds: Sequence[Round], trials: Seq
     names, out, named = list(trials), list(rounds), [t.candidate for t in trials]
     for place, trial in enumerate(names[:-1]):
         number = next(i for i, one in enumerate(out) if one.taken is trial)
-        if not (others := doubtful(problem, out[number], trial, named)):
-            continue
-        errors = left_out_errors(problem, refitted_without(problem, fit, trial.candidate))
-        ends = side_by_side(partial(in_place, problem, fit, trial.candidate), others, problem.settings.threads)
-        judgements = [judged(problem, end, errors, other) for end, other in zip(ends, others, strict=True)]
-        own = judged(problem, fit, errors, trial)
-        out[number] = replace(out[number], trials=sorted([own, *judgements], key=lambda t: -t.closed), taken=own)
-        names[place] = own
+        if others := doubtful(problem, out[number], trial, named):
+            out[number], names[place] = held_against(problem, fit, out[number], trial, others)
     return names, out
+
+
+def held_against(
+    problem: Problem, fit: Fit, own: Round, name: Trial, others: Sequence[Trial], behind: float = BEHIND
+) -> tuple[Round, Trial]:
+    """A round as it is beside all that a fit names, and its name there, judged by the gap that is left without it.
+
+    Args:
+        problem: robot, motions and settings.
+        fit: with all names.
+        own: the round that took the name.
+        name: what it took.
+        others: rivals, each put in the name's place.
+        behind: times the fit's error that a rival may leave on first looks to go to its end.
+    """
+    bare = refitted_without(problem, fit, name.candidate)
+    errors = left_out_errors(problem, bare)
+    put = partial(in_place, problem, fit, name.candidate, behind=behind)
+    ends = side_by_side(put, others, problem.settings.threads)
+    rivals = [judged(problem, end, errors, other) for end, other in zip(ends, others, strict=True)]
+    beside = judged(problem, fit, errors, name)
+    trials = sorted([beside, *rivals], key=lambda t: -t.closed)
+    return replace(own, before=bare, errors=errors, trials=trials, taken=beside), beside
 
 
 def in_place(problem: Problem, fit: Fit, name: Candidate, rival: Trial, behind: float = BEHIND) -> Fit:

@@ -2,18 +2,14 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
 
-from edream.diagnosis.backward import passes, refitted_without
-from edream.diagnosis.candidates import Candidate
+from edream.diagnosis.backward import passes
 from edream.diagnosis.decide import Round
 from edream.diagnosis.descent import Fit
-from edream.diagnosis.doubts import doubtful, in_place
+from edream.diagnosis.doubts import doubtful, held_against
 from edream.diagnosis.exchange import LEFT, is_better
-from edream.diagnosis.left_out import left_out_errors
 from edream.diagnosis.problem import Problem
-from edream.diagnosis.side_by_side import side_by_side
-from edream.diagnosis.trials import Trial, judged
+from edream.diagnosis.trials import Trial
 
 
 def doubted_instead(
@@ -31,33 +27,32 @@ def doubted_instead(
         done: called with how many names were asked about.
     """
     out = list(rounds)
-    for number, one in enumerate(out[:-1]):
-        if one.taken is None or fit.rms <= LEFT * problem.floor:
+    for number in range(len(out) - 1):
+        one, names = out[number], taken_in(out)
+        others = doubtful(problem, one, names[number], [t.candidate for t in names])
+        if not others or fit.rms <= LEFT * problem.floor:
             continue
-        named = [r.taken.candidate for r in out if r.taken is not None]
-        others = doubtful(problem, one, one.taken, named)
-        put = partial(in_place, problem, fit, one.taken.candidate, behind=1.0)  # what comes no nearer is not better
-        ends = list(side_by_side(put, others, problem.settings.threads))
+        # what comes no nearer on first looks is not better
+        again, old = held_against(problem, fit, one, names[number], others, behind=1.0)
         done(1)
-        if not ends:
-            continue
-        errors = left_out_errors(problem, refitted_without(problem, fit, one.taken.candidate))
-        old = judged(problem, fit, errors, one.taken)
-        beside = [(judged(problem, end, errors, other), other) for end, other in zip(ends, others, strict=True)]
-        better = [pair for pair in beside if passes(problem, pair[0]) and is_better(problem, pair[0], old)]
+        better = [t for t in again.trials if t is not old and passes(problem, t) and is_better(problem, t, old)]
         if better:
-            new, alone = max(better, key=lambda pair: pair[0].closed)
-            fit, out[number] = new.fit, replace(one, taken=alone)
-            out[-1] = asked_beside(problem, fit, out[-1], alone, [r.taken.candidate for r in out if r.taken is not None])
+            fit, alone = better[0].fit, next(t for t in others if t.candidate == better[0].candidate)
+            out[number] = replace(one, taken=alone)
+            out[number + 1 :] = asked_beside(problem, fit, out, number + 1)
     return fit, out
 
 
-def asked_beside(problem: Problem, fit: Fit, last: Round, other: Trial, named: Sequence[Candidate]) -> Round:
-    """The last round beside another earlier name: what its own name could not be told from is put in its place again."""
-    assert last.taken is not None
-    rivals = doubtful(problem, last, last.taken, named)
-    ends = side_by_side(partial(in_place, problem, fit, last.taken.candidate), rivals, problem.settings.threads)
-    again = [judged(problem, end, other.errors, rival) for end, rival in zip(ends, rivals, strict=True)]
-    own = judged(problem, fit, other.errors, last.taken)
-    trials = sorted([own, *again], key=lambda t: -t.closed)
-    return replace(last, before=other.fit, errors=other.errors, trials=trials, taken=own)
+def asked_beside(problem: Problem, fit: Fit, rounds: Sequence[Round], since: int) -> list[Round]:
+    """The rounds from `since` on beside another earlier name: each as it is without those after it, its doubts asked again."""
+    names, out = taken_in(rounds), list[Round]()
+    for number in range(len(rounds) - 1, since - 1, -1):
+        rivals = doubtful(problem, rounds[number], names[number], [t.candidate for t in names])
+        again, _ = held_against(problem, fit, rounds[number], names[number], rivals)
+        fit, out = again.before, [again, *out]
+    return out
+
+
+def taken_in(rounds: Sequence[Round]) -> list[Trial]:
+    """The name that each round took."""
+    return [one.taken for one in rounds if one.taken is not None]

@@ -274,8 +274,8 @@ def unexplained(
     start, end, floor = float(first.mean()), float(left.mean()), problem.floor**2
     if not is_real(problem, left):
         return None
-    closed = bool(trials) and np.sqrt(start) - np.sqrt(end) >= CLOSED * (np.sqrt(start) - problem.floor)
-    closed = closed and not (len(trials) > 1 and is_clear(problem, left))
+    most = np.sqrt(start) - np.sqrt(end) >= CLOSED * (np.sqrt(start) - problem.floor)
+    closed = most and bool(trials) and not (len(trials) > 1 and is_clear(problem, left))
     if not closed:
         beside = find_remainder(problem, fit, beside_names=bool(trials))
         if beside is not None and beside.real:

@@ -7,17 +7,12 @@ import numpy as np
 import pytest
 
 from edream.diagnosis import another_way
-from edream.diagnosis.candidates import Candidate
 from edream.diagnosis.decide import Round
 from edream.diagnosis.trials import Trial
+from tests.still_problem import left_by
 
 PROBLEM = SimpleNamespace(floor=1.0, settings=SimpleNamespace(seed=0, threads=1))
 FIT = SimpleNamespace(rms=5.0)
-
-
-def trial(effect: str, left: float, closed: float) -> Trial:
-    fit = SimpleNamespace(rms=left**0.5, unit=np.zeros(3))
-    return Trial(Candidate(effect, ("pan",)), 0.1, fit, np.full(8, left), closed, True)  # type: ignore[arg-type]
 
 
 def a_round(left: float, trials: list[Trial], taken: Trial | None) -> Round:
@@ -35,7 +30,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         asked.append(last.candidate.effect)
         if last.candidate.effect != "slew_limit":
             return problem, fit, [*before, a_round(LEFT["beside the spring"], [], None)]
-        more = trial("position_friction", LEFT["beside the slew limit"], 1.0)
+        more = left_by("position_friction", LEFT["beside the slew limit"], 1.0)
         return problem, "the end", [*before, a_round(30.0, [more], more), a_round(LEFT["beside the slew limit"], [], None)]
 
     monkeypatch.setattr(another_way, "forward", forward)
@@ -56,7 +51,7 @@ LEFT = {"beside the slew limit": 1.1, "beside the spring": 30.0}  # squared floo
 
 def stuck(left: float, rival: float = 31.0) -> list[Round]:
     """A torque limit that a spring and a limit of the setpoint do as well as, and nothing more beside it."""
-    first = [trial("torque_limit", 30.0, 0.95), trial("spring", 30.5, 0.949), trial("slew_limit", rival, 0.948)]
+    first = [left_by("torque_limit", 30.0, 0.95), left_by("spring", 30.5, 0.949), left_by("slew_limit", rival, 0.948)]
     return [a_round(500.0, first, first[0]), a_round(left, [], None)]
 
 
@@ -103,6 +98,6 @@ def test_a_rival_that_leaves_no_clear_gap_by_itself_takes_the_place_of_a_name(
 
 def test_names_that_lead_on_to_the_last_round_stay(asked: list[str]) -> None:
     rounds = stuck(30.0)
-    taken = [replace(one, taken=one.trials[0] if one.trials else trial("cogging", 1.0, 1.0)) for one in rounds]
+    taken = [replace(one, taken=one.trials[0] if one.trials else left_by("cogging", 1.0, 1.0)) for one in rounds]
     assert another_way.by_another_way(PROBLEM, FIT, taken)[2] == taken  # type: ignore[arg-type]
     assert asked == []

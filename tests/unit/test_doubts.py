@@ -16,21 +16,16 @@ from edream.diagnosis.screen import extend
 from edream.diagnosis.trials import Trial
 from edream.sim.rollout import rollout
 from edream.sim.simulation import SimulatedRobot
-from tests.still_problem import NOISE, still_problem
+from tests.still_problem import NOISE, left_by, still_problem
 
 PROBLEM = SimpleNamespace(floor=1.0, settings=SimpleNamespace(seed=0, threads=1))
-
-
-def trial(effect: str, left: float, closed: float) -> Trial:
-    fit = SimpleNamespace(rms=left**0.5, unit=np.zeros(3))
-    return Trial(Candidate(effect, ("pan",)), 0.1, fit, np.full(8, left), closed, True)  # type: ignore[arg-type]
 
 
 @pytest.fixture
 def rounds() -> list[Round]:
     """A tilt that a spring does nearly as well as, then a dead zone."""
-    first = [trial("gravity_tilt", 12.0, 0.55), trial("spring", 12.4, 0.53), trial("cogging", 26.0, 0.02)]
-    last = [trial("dead_zone", 1.0, 1.0)]
+    first = [left_by("gravity_tilt", 12.0, 0.55), left_by("spring", 12.4, 0.53), left_by("cogging", 26.0, 0.02)]
+    last = [left_by("dead_zone", 1.0, 1.0)]
     fit = SimpleNamespace(rms=5.0)
     return [Round(fit, np.full(8, 27.0), [], first, first[0]), Round(fit, first[0].errors, [], last, last[0])]  # type: ignore[arg-type]
 
@@ -45,7 +40,7 @@ def test_a_rival_stays_one_only_where_it_does_as_well_beside_the_other_names(
     ends = {"gravity_tilt": (1.0, 0.95), "spring": (beside, 0.95 - 0.1 * (beside - 1.0))}
     tried: list[str] = []
 
-    def in_place(problem: object, fit: object, name: Candidate, rival: Trial) -> SimpleNamespace:
+    def in_place(problem: object, fit: object, name: Candidate, rival: Trial, behind: float) -> SimpleNamespace:
         assert name.effect == "gravity_tilt"
         tried.append(rival.candidate.effect)
         return SimpleNamespace(rms=ends[rival.candidate.effect][0] ** 0.5, unit=np.zeros(3))

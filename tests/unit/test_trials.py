@@ -17,18 +17,14 @@ from edream.diagnosis.suspects import Suspect
 from edream.diagnosis.trials import Trial
 from edream.sim.rollout import rollout
 from edream.sim.simulation import SimulatedRobot
-from tests.still_problem import NOISE, FitOf, still_problem
-
-
-def _trial(effect: str, closed: float) -> Trial:
-    return Trial(Candidate(effect, ("tilt",)), 0.0, SimpleNamespace(name=effect), np.zeros(4), closed, True)
+from tests.still_problem import NOISE, FitOf, still_problem, trial_of
 
 
 def test_rivals_begin_again_from_the_best_ones_numbers_once_for_each_answer(monkeypatch: pytest.MonkeyPatch) -> None:
     """The same effect on one joint less is no other answer; on another link it is."""
 
     def on(effect: str, *targets: str) -> Trial:
-        return replace(_trial(effect, 0.9), candidate=Candidate(effect, targets))
+        return replace(trial_of(effect, 0.9), candidate=Candidate(effect, targets))
 
     best, less = on("load_friction", "a", "b", "c"), on("load_friction", "a", "b")
     others = [
@@ -67,7 +63,7 @@ def test_one_joint_that_is_clearly_off_beside_incredible_numbers_is_far_off(
 
 
 def test_what_does_not_stand_at_the_end_of_its_search_gives_way_to_the_next(monkeypatch: pytest.MonkeyPatch) -> None:
-    limit, spring = (replace(_trial(name, 0.9), fit=FitOf(name, 2.0)) for name in ("torque_speed_limit", "spring"))
+    limit, spring = (replace(trial_of(name, 0.9), fit=FitOf(name, 2.0)) for name in ("torque_speed_limit", "spring"))
     monkeypatch.setattr(forward, "simplest", lambda problem, left: left[0] if left else None)
     monkeypatch.setattr(forward, "arrived", lambda problem, fit, taken: taken.candidate.effect)
     monkeypatch.setattr(forward, "polish", lambda fit: fit)
@@ -203,7 +199,7 @@ def test_behind_numbers_that_are_strange_beside_a_name_another_effect_is_looked_
     strange alone hides nothing."""
     spring = Suspect(Candidate("spring", ("tilt",)), FitOf("with both", 1.0), 9.0)  # type: ignore[arg-type]
     gain, friction = (verdict.Named(name, name, ("tilt",), {}, {}, {}, 0.0, None, ()) for name in (strange, "stribeck"))
-    taken = replace(_trial("stribeck", 1.0), fit=FitOf("with stribeck", 1.0))  # type: ignore[arg-type]
+    taken = replace(trial_of("stribeck", 1.0), fit=FitOf("with stribeck", 1.0))  # type: ignore[arg-type]
     rounds = [decide.Round(FitOf("usual", 1.0), np.full(4, 36e-6), [], [taken], taken)]  # type: ignore[arg-type]
     written: list[str] = []
     told = {
@@ -248,7 +244,7 @@ def test_a_formula_goes_before_a_name_that_closes_little_of_a_real_gap(
 ) -> None:
     """What each leaves of a gap of five floors, squared; None where there is no such thing."""
     problem = SimpleNamespace(floor=1.0, settings=SimpleNamespace(seed=0))
-    names = [] if name is None else [replace(_trial("backlash", 0.3), errors=np.full(6, name))]
+    names = [] if name is None else [replace(trial_of("backlash", 0.3), errors=np.full(6, name))]
     found = None if formula is None else SimpleNamespace(real=True, errors=np.full(6, formula))
     monkeypatch.setattr(forward, "find_remainder", lambda problem, fit: found)
     assert forward.outdone(problem, None, np.full(6, 25.0), names) is (found if outdone else None)
@@ -266,7 +262,7 @@ def _rounds(monkeypatch: pytest.MonkeyPatch, left: list[float], joint_errors: li
         "with_short_steps": lambda problem, fit: (problem, fit),
         "predicted": lambda problem, fit, taken: np.full(6, next(remaining)),
         "screen_twice": lambda problem, fit, done: [],
-        "try_best": lambda problem, fit, errors, scored, done: [_trial("spring", 0.3)],
+        "try_best": lambda problem, fit, errors, scored, done: [trial_of("spring", 0.3)],
         "nearer_without": lambda fit, trials: None,
         "with_bold": lambda problem, fit, errors, trials, done: trials,
         "with_rough": lambda problem, fit, errors, trials, done: trials,

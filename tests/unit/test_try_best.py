@@ -9,11 +9,8 @@ import pytest
 from edream.diagnosis import nearest, trials
 from edream.diagnosis.candidates import Candidate
 from edream.diagnosis.screen import Scored
-from edream.diagnosis.trials import Trial, with_bold
-
-
-def _trial(effect: str, closed: float) -> Trial:
-    return Trial(Candidate(effect, ("tilt",)), 0.0, SimpleNamespace(name=effect), np.zeros(4), closed, True)
+from edream.diagnosis.trials import with_bold
+from tests.still_problem import trial_of
 
 
 @pytest.mark.parametrize(
@@ -23,12 +20,12 @@ def _trial(effect: str, closed: float) -> Trial:
 def test_larger_models_are_tried_boldly_from_far_off_where_nothing_closes_half(
     monkeypatch: pytest.MonkeyPatch, small: bool, far: bool, closed: float, bold: bool
 ) -> None:
-    found = [_trial("torque_limit", 0.9), _trial("spring", 0.1)]
+    found = [trial_of("torque_limit", 0.9), trial_of("spring", 0.1)]
     monkeypatch.setattr(trials, "is_small", lambda fit: small)
     monkeypatch.setattr(trials, "far_off", lambda problem, fit: far)
     monkeypatch.setattr(trials, "overlooked", lambda problem, fit, scored: [])
     monkeypatch.setattr(trials, "try_boldly", lambda *told: found)
-    before = [_trial("spring", closed)]
+    before = [trial_of("spring", closed)]
     after = with_bold(None, None, np.zeros(4), before)
     if bold:
         assert [(t.candidate.effect, t.closed) for t in after] == [
@@ -50,7 +47,7 @@ def test_every_effect_is_tried_boldly_only_where_the_likeliest_leave_a_gap(
     monkeypatch: pytest.MonkeyPatch, gap: bool, found: dict[str, float]
 ) -> None:
     """The likeliest by the score test and beside the published numbers go over whole motions; of two searches the better counts."""
-    bold = [_trial("spring", 0.9), _trial("backlash", 0.4)]
+    bold = [trial_of("spring", 0.9), trial_of("backlash", 0.4)]
     near = [Scored(Candidate("integral_action", ("tilt",)), {}, 0.0)]
     told = {
         "is_small": lambda fit: True,
@@ -58,7 +55,7 @@ def test_every_effect_is_tried_boldly_only_where_the_likeliest_leave_a_gap(
         "thinned": lambda fit, seconds: fit,
         "overlooked": lambda problem, fit, scored: [],
         "try_boldly": lambda problem, fit, errors, places, done: bold,
-        "refit": lambda problem, fit, errors, one: _trial(one.candidate.effect, 0.6),
+        "refit": lambda problem, fit, errors, one: trial_of(one.candidate.effect, 0.6),
         "nearer_beside_published": lambda problem, fit, places: near,
         "leaves_no_gap": lambda problem, fit: not gap and fit.name == "payload",
     }
@@ -77,7 +74,7 @@ def test_little_is_left_where_nearly_all_is_closed_and_no_real_gap_stays_or_all_
     closed: float, left: float, little: bool
 ) -> None:
     problem, errors = SimpleNamespace(floor=4e-4), np.full(6, (left * 4e-4) ** 2)
-    assert trials.leaves_little(problem, replace(_trial("spring", closed), errors=errors)) is little  # type: ignore[arg-type]
+    assert trials.leaves_little(problem, replace(trial_of("spring", closed), errors=errors)) is little  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(("left", "heard"), [(1.2, ["spring", "payload"]), (4.0, ["spring", "payload", "coulomb"])])
@@ -97,7 +94,7 @@ def test_unlikely_candidates_wait_and_are_not_refitted_where_another_closes_near
         "on_few": lambda problem, fit: fit,
         "refitted": refitted,
         "gone_on": lambda fit, near, joints: near,
-        "judged": lambda problem, fit, errors, one: _trial(one.candidate.effect, 1.0 - fit.rms),
+        "judged": lambda problem, fit, errors, one: trial_of(one.candidate.effect, 1.0 - fit.rms),
     }
     for name, stand_in in told.items():
         monkeypatch.setattr(trials, name, stand_in)
@@ -150,7 +147,7 @@ def test_where_servos_at_their_limit_leave_a_joint_off_what_is_nearest_in_some_s
         "on_few": lambda problem, fit: fit,
         "refitted": lambda problem, few, one, iterations: fitted(one.candidate.effect),
         "gone_on": gone_on,
-        "judged": lambda problem, fit, errors, one: _trial(one.candidate.effect, 1.0 - fit.rms),
+        "judged": lambda problem, fit, errors, one: trial_of(one.candidate.effect, 1.0 - fit.rms),
     }
     for name, stand_in in told.items():
         monkeypatch.setattr(trials, name, stand_in)

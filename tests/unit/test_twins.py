@@ -10,10 +10,7 @@ from edream.diagnosis import candidates, decide
 from edream.diagnosis.candidates import Candidate
 from edream.diagnosis.screen import Scored
 from edream.diagnosis.trials import Trial
-
-
-def _trial(effect: str, closed: float) -> Trial:
-    return Trial(Candidate(effect, ("tilt",)), 0.0, SimpleNamespace(name=effect), np.zeros(4), closed, True)
+from tests.still_problem import trial_of
 
 
 def _refits_to(monkeypatch: pytest.MonkeyPatch, end: Trial) -> None:
@@ -41,8 +38,8 @@ def test_what_the_best_one_is_confused_with_is_heard_where_that_one_acts(
 ) -> None:
     """What was tried where the score test liked it says nothing of this joint; what came to little here needs more patience."""
     fit = SimpleNamespace(rms=2.0)
-    best = replace(_trial("torque_speed_limit", 0.9), fit=SimpleNamespace(rms=1.0))
-    drag = replace(_trial("quadratic_drag", closed), candidate=Candidate("quadratic_drag", (tried,)))
+    best = replace(trial_of("torque_speed_limit", 0.9), fit=SimpleNamespace(rms=1.0))
+    drag = replace(trial_of("quadratic_drag", closed), candidate=Candidate("quadratic_drag", (tried,)))
     effects = [SimpleNamespace(name=name, confusable=(), place="joint") for name in ("quadratic_drag", "payload")]
     monkeypatch.setattr(candidates, "library", lambda problem: effects)
     monkeypatch.setattr(decide, "passes", lambda problem, t: t.closed > 0.5)
@@ -61,7 +58,7 @@ def test_twins_of_what_cannot_be_told_from_the_best_are_heard_too(
 ) -> None:
     """A spring may be an efficiency, whose twin is friction with the load, which has another; no twin is asked twice."""
     fit = SimpleNamespace(rms=2.0)
-    both = _trial("spring", 0.9), _trial("directional_efficiency", 0.8)
+    both = trial_of("spring", 0.9), trial_of("directional_efficiency", 0.8)
     best, rival = (replace(one, fit=SimpleNamespace(rms=1.0)) for one in both)
     friction, sliding, far = (SimpleNamespace(name=name, place="joint") for name in ("load_friction", "presliding", "coulomb"))
     known = {"spring": [], "directional_efficiency": [friction], "load_friction": [friction, sliding], "presliding": [far]}
@@ -79,7 +76,7 @@ def test_a_twin_is_measured_against_what_the_best_one_does_on_the_same_few_motio
     monkeypatch: pytest.MonkeyPatch, best_there: float, heard: list[str]
 ) -> None:
     """It leaves 1.8 of 2 there, a quarter of the best one's gain, or twice that; on all motions the best one leaves 1."""
-    best = replace(_trial("gear_ratio", 0.9), fit=SimpleNamespace(rms=1.0))
+    best = replace(trial_of("gear_ratio", 0.9), fit=SimpleNamespace(rms=1.0))
     monkeypatch.setattr(decide, "confused_with", lambda problem, effect: [SimpleNamespace(name="spring", place="joint")])
     monkeypatch.setattr(decide, "passes", lambda problem, t: t is best)
     monkeypatch.setattr(decide, "told_apart", lambda problem, worse, better: True)
@@ -99,8 +96,8 @@ def test_of_effects_on_links_the_outermost_link_is_heard_too(
 ) -> None:
     """The score test liked a negative payload on the upper arm; usual numbers had made up for most of what the wrist carries."""
     fit, known = SimpleNamespace(rms=2.0), [SimpleNamespace(name="payload", place="body")] if effect == "spring" else []
-    best = replace(_trial(effect, 0.9), fit=SimpleNamespace(rms=1.0))
-    upper = replace(_trial("payload", 0.2), candidate=Candidate("payload", ("upper_arm",)))
+    best = replace(trial_of(effect, 0.9), fit=SimpleNamespace(rms=1.0))
+    upper = replace(trial_of("payload", 0.2), candidate=Candidate("payload", ("upper_arm",)))
     monkeypatch.setattr(decide, "confused_with", lambda problem, effect: known)
     monkeypatch.setattr(decide, "passes", lambda problem, trial: trial is best)
     monkeypatch.setattr(decide, "told_apart", lambda problem, worse, better: True)
