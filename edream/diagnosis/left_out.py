@@ -21,6 +21,7 @@ HALF = 0.5  # of the squared gap: a name that closes less of a real one may be a
 ELSEWHERE = 1.5  # floors of error on a joint where nothing is named: looked into, however large the gap was at first
 MATERIAL = 0.05  # of the gap at first, in root-mean-square error, that an effect beside others must close
 SEEN = 0.1  # of the floor squared: less than that no usual number is called strange for
+SEEN_ORDINARY = 0.05  # the same for an effect with which numbers are ordinary: these say the same thing once more
 ASTRAY = 1.2  # times the fit's own error: a motion left out that is so much worse may say more about the step than about the model
 
 
@@ -110,7 +111,7 @@ def is_borne_out(problem: Problem, errors: Float[np.ndarray, "M"], floors: float
     return low > (floors * problem.floor) ** 2
 
 
-def does_better(problem: Problem, fit: Fit, other: Fit) -> bool:
+def does_better(problem: Problem, fit: Fit, other: Fit, seen: float = SEEN) -> bool:
     """Whether a fit meets motions left out better than another one: by what can be seen, however they are drawn, and not one alone.
 
     Compared are mean squared errors [rad^2] of motions left out, (M,). The one that gains most and the one that loses most do not
@@ -120,7 +121,7 @@ def does_better(problem: Problem, fit: Fit, other: Fit) -> bool:
     first, last = int(len(gain) > 3), len(gain) - int(len(gain) > 2)  # of two, one says nothing about the other
     gain = gain[first:last]
     low, _ = bootstrap(gain, problem.settings.seed)
-    return low > 0.0 and float(gain.mean()) > SEEN * problem.floor**2
+    return low > 0.0 and float(gain.mean()) > seen * problem.floor**2
 
 
 def is_left(problem: Problem, left: Float[np.ndarray, "M"], proof: Float[np.ndarray, "K"]) -> bool:

@@ -19,6 +19,8 @@ from edream.diagnosis.exchange import exchanged
 from edream.diagnosis.finer import with_plain
 from edream.diagnosis.forward import forward
 from edream.diagnosis.left_out import (
+    SEEN,
+    SEEN_ORDINARY,
     agreement,
     bootstrap,
     does_better,
@@ -120,7 +122,8 @@ def diagnose(problem: Problem, done: Callable[[str, int], object] = lambda text,
             fit, numbers = (fit, numbers) if trials else (before, [])  # strange only beside what went out: no answer alone
     if (numbers or suspects) and not trials:
         home = without_numbers(problem, fit, numbers, suspects)
-        if does_better(problem, suspects[0].fit if suspects else fit, home):
+        found, seen = (suspects[0].fit, SEEN_ORDINARY) if suspects else (fit, SEEN)
+        if does_better(problem, found, home, seen):
             before = home
         else:  # ordinary numbers meet motions left out as well, which is no news
             fit, numbers, suspects = home, [], []

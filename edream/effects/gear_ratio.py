@@ -27,7 +27,7 @@ class GearRatio(Effect):
     name = "gear_ratio"
     summary = "another gear ratio"
     place = "joint"
-    confusable = ("servo_gain", "encoder_offset", "spring", "payload", "constant_torque")
+    confusable = ("servo_gain", "armature", "encoder_offset", "spring", "payload", "constant_torque")
     shifts_links = True
     of_position_servo = True
     late = 2

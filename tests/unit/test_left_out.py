@@ -6,7 +6,16 @@ import numpy as np
 import pytest
 
 from edream.diagnosis import left_out
-from edream.diagnosis.left_out import agreement, asks_for_more, does_better, gap_above_floor, is_left, is_material, still_off
+from edream.diagnosis.left_out import (
+    SEEN_ORDINARY,
+    agreement,
+    asks_for_more,
+    does_better,
+    gap_above_floor,
+    is_left,
+    is_material,
+    still_off,
+)
 
 
 def test_agreement_is_said_only_where_little_more_than_noise_is_left() -> None:
@@ -83,3 +92,13 @@ def test_a_fit_does_better_by_what_can_be_seen_and_not_in_one_motion_alone(
     problem = SimpleNamespace(floor=1.0, settings=SimpleNamespace(seed=0))
     assert does_better(problem, "fit", "other") is better
     assert not does_better(problem, "other", "fit")
+
+
+def test_an_effect_with_which_numbers_are_ordinary_needs_half_as_much(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A gear of 0.9 on SO-101's elbow had been called a rotor that is 1.42 times the published one, then nothing at all."""
+    errors = {"fit": np.ones(9), "other": np.full(9, 1.04**2), "same": np.full(9, 1.02**2)}
+    monkeypatch.setattr(left_out, "left_out_errors", lambda problem, fit: errors[fit])
+    problem = SimpleNamespace(floor=1.0, settings=SimpleNamespace(seed=0))
+    assert not does_better(problem, "fit", "other")
+    assert does_better(problem, "fit", "other", SEEN_ORDINARY)
+    assert not does_better(problem, "fit", "same", SEEN_ORDINARY)

@@ -134,7 +134,7 @@ def _diagnosed(monkeypatch: pytest.MonkeyPatch, strange: verdict.Named, told: di
         "without_numbers": lambda problem, fit, numbers, suspects: FitOf(
             f"without {suspects[0].candidate.effect if suspects else numbers[0].name}", 1.0
         ),
-        "does_better": lambda problem, fit, other: True,
+        "does_better": lambda problem, fit, other, seen: True,
         "placement": lambda problem, candidate: candidate,
         "numbers_of": lambda problem, fit, place: ({}, {}, {}),
         "find_remainder": lambda problem, fit, beside_names=False: None,
@@ -172,7 +172,7 @@ def test_strange_numbers_are_an_answer_only_where_nothing_is_left(
         "forward": lambda problem, fit, done: (problem, fit, [nothing]),
         "backward": lambda problem, fit, candidates, first: (fit, []),
         "find_suspects": lambda problem, fit, strange, done: [spring] if behind else [],
-        "does_better": lambda problem, fit, other: behind is not None,
+        "does_better": lambda problem, fit, other, seen: behind is not None,
     }
     found = _diagnosed(monkeypatch, gain, told)
     assert found.verdict == expected and [one.name for one in found.effects] == named
