@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 
 from edream.sim.limits import let_through, limits_of
+from edream.sim.memory import loaded, recent
 from edream.sim.rotor import has_rotor, wind_up
 from edream.sim.simulation import SimulatedRobot, late_last
 from edream.sim.start import SETTLED
@@ -41,20 +42,11 @@ BODY = '''
 CALLS = {calls}
 
 
-def recent(state, dof, seconds):
-    """How fast a joint has been lately: its speed's size, averaged with weights exp(-age / seconds); begins at rest."""
-    now, before = float(state.time[0]), state.memory.get((dof, seconds))
-    if before is None or before[0] != now:
-        value = np.zeros(len(state.qvel)) if before is None else before[1]
-        before = now, value + (np.abs(state.qvel[:, dof]) - value) * -np.expm1(-state.step / seconds)
-        state.memory[dof, seconds] = before
-    return before[1]
-
-
 class One:
     """One MjData, seen as a batch of one."""
 
-    recent, let_through = recent, let_through
+    recent, loaded, let_through = recent, loaded, let_through
+    past = staticmethod(lambda dof, seconds: 0.0)  # before it begins it rests
 
     def __init__(self, model, data, limits, memory):
         self.time, self.step, self.memory = np.array([data.time]), model.opt.timestep, memory
@@ -68,7 +60,8 @@ class One:
 class Many:
     """A mujoco.batch.Batch: the same names, one row a simulation."""
 
-    recent, let_through = recent, let_through
+    recent, loaded, let_through = recent, loaded, let_through
+    past = staticmethod(lambda dof, seconds: 0.0)  # before it begins it rests
 
     def __init__(self, batch):
         bind = batch.bind
@@ -251,7 +244,7 @@ def hook_text(simulated: SimulatedRobot, numbers: Sequence[Mapping[str, np.ndarr
     geared = any(has_rotor(model, joint) for joint in simulated.robot.joints)
     said = [text for text, true in ((STATEFUL, delayed or filtered), (GEARED, geared)) if true]
     head = HEAD.format(title=title, starts="\n".join(said)).replace('\n\n"""', '\n"""')
-    shared = (limits_of, let_through, wind_up) if geared else (limits_of, let_through)
+    shared = (limits_of, let_through, recent, loaded, *((wind_up,) if geared else ()))
     sources |= {one.__name__: "\n" + re.sub(r"( ->|:) (Any|None)\b", "", inspect.getsource(one)) for one in shared}
     laws = "\n\n".join(sources[name] for name in sorted(sources))
     return head + laws + BODY.format(calls=calls, gears=GEARS if geared else "", settled=SETTLED)

@@ -8,13 +8,14 @@ from jaxtyping import Float
 from mujoco import batch
 
 from edream.sim.limits import let_through, limits_of
+from edream.sim.memory import loaded, recent
 from edream.sim.simulation import SimulatedRobot, hook_index, late_last
 
 
 class BatchState:
     """What hooks see of a batch: `edream.core.effect.State` for N simulations."""
 
-    let_through = let_through
+    recent, loaded, let_through = recent, loaded, let_through
 
     def __init__(
         self, simulations: batch.Batch, start: Float[np.ndarray, "N"] | float = 0.0, past: Callable[[int, float], Any] | None = None
@@ -32,8 +33,8 @@ class BatchState:
         self.start = start
         model = simulations.get_model(0)
         self.limits = limits_of(model, simulations.expand("actuator_forcerange"))
-        self._step = float(model.opt.timestep)
-        self._past, self._memory = past, dict[tuple[int, float], tuple[float, np.ndarray]]()
+        self.step, self.memory = float(model.opt.timestep), dict[Any, Any]()
+        self.past = past or at_rest
 
     @property
     def time(self) -> Float[np.ndarray, "N"]:
@@ -52,17 +53,10 @@ class BatchState:
     def speed_gain(self) -> Float[np.ndarray, "N actuators"]:
         return -self._bias[:, :, 2]
 
-    def recent(self, dof: int, seconds: float) -> Float[np.ndarray, "N"]:
-        now, before = float(self.clock.flat[0]), self._memory.get((dof, seconds))
-        if before is not None and before[0] == now:
-            return before[1]
-        if before is not None:
-            value = before[1]
-        else:
-            value = np.zeros(len(self.qvel)) if self._past is None else self._past(dof, seconds)
-        value = value + (np.abs(self.qvel[:, dof]) - value) * -np.expm1(-self._step / seconds)
-        self._memory[dof, seconds] = now, value
-        return value
+
+def at_rest(dof: int, seconds: float) -> float:
+    """How fast a joint was before a recording that began at rest [rad/s]."""
+    return 0.0
 
 
 def batch_hooks(
