@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -38,13 +37,12 @@ from edream.diagnosis.remainder import Remainder, find_remainder
 from edream.diagnosis.steps import for_a_plain_loop, in_a_plain_loop
 from edream.diagnosis.suspects import Suspect, find_suspects, most_ordinary, what_stays, with_ordinary_numbers
 from edream.diagnosis.trials import Trial, is_another, judged, predicted
+from edream.diagnosis.wording import Verdict, on_steps, sentence
 from edream.sim.objective import rms
 from edream.sim.robot import RobotModel
 
 CLOSED = 0.9  # share of the gap, in root-mean-square error, from which what is left is not worth a formula
 AS_GOOD = 1.1  # times the error of names and a formula that a formula alone may have and be preferred
-
-Verdict = Literal["named", "none", "cannot_tell", "unnamed"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +80,35 @@ class Diagnosis:
     contenders: Sequence[tuple[str, Fit]]
 
 
+@dataclass(frozen=True, eq=False)
+class Found:
+    """What a search ended in: names that stand, numbers that are strange beside them, and what may hide in those.
+
+    Attributes:
+        before: the model with its usual numbers alone.
+        fit: with what is named.
+        trials, heard: the effects that stand, and the rounds that say what they were compared with.
+        left: errors on motions left out [rad^2], (M,).
+        short: whether a real gap is left open, most of it or, where nothing stands, any.
+        numbers: usual numbers that are strange, where that is a finding.
+        suspects: effects that would make them ordinary, most relieving first.
+    """
+
+    before: Fit
+    fit: Fit
+    trials: Sequence[Trial]
+    heard: Sequence[Round]
+    left: Float[np.ndarray, "M"]
+    short: bool
+    numbers: Sequence[Named] = ()
+    suspects: Sequence[Suspect] = ()
+
+    @property
+    def ended(self) -> Fit:
+        """What is named is what is written, with the ordinary numbers that it leaves."""
+        return self.suspects[0].fit if self.suspects else self.fit
+
+
 def diagnose(problem: Problem, done: Callable[[str, int], object] = lambda text, n: None) -> Diagnosis:
     """The whole diagnosis of one problem.
 
@@ -101,50 +128,24 @@ def diagnose(problem: Problem, done: Callable[[str, int], object] = lambda text,
     ladder += [(_label(one.taken), np.sqrt(proof_errors(problem, one.taken.fit))) for one in rounds if one.taken is not None]
     fit, rounds, told = exchanged(problem, fit, rounds, lambda n: done("exchanging names", n))
     ladder += [(label, np.sqrt(proof_errors(problem, one))) for label, one in told]
-    taken = [one.taken for one in rounds if one.taken is not None]
-    fit, kept = backward(problem, fit, [t.candidate for t in taken], rounds[0].errors)
-    fit, kept = still_standing(problem, fit, kept) if len(kept) < len(taken) else (fit, kept)
-    fit = with_plain(problem, fit, kept)
-    trials, heard = left_alone(problem, fit, rounds, [t for t in taken if t.candidate in kept])
-    left = predicted(problem, fit, trials[-1] if len(kept) == len(taken) else None) if trials else rounds[0].errors
-    short = falls_short(problem, rounds[0].errors, left) if trials else is_left(problem, left, ladder[1][1] ** 2)
-    numbers: list[Named] = []
-    suspects: list[Suspect] = []
-    # numbers that are strange beside a real gap have made up for it; they are not what is missing
-    if not (is_real(problem, left) if trials else short) and may_hide_more(strange_numbers(problem, fit), bool(trials)):
-        # a search that ends near enough knows less of valleys, and calls its numbers surer than they are
-        fit = most_ordinary(problem, fit if fit.ended else polish(fit))
-        if numbers := off_nominal(problem, fit):
-            strange = [placement(problem, Candidate(n.name, n.targets)).full_name(q) for n in numbers for q in n.values]
-            suspects = find_suspects(problem, fit, strange, lambda n: done("looking behind strange numbers", n))
-        if suspects and trials:
-            suspects, trials = what_stays(problem, trials, suspects, rounds[0].errors)
-            fit, numbers = (fit, numbers) if trials else (before, [])  # strange only beside what went out: no answer alone
-    if (numbers or suspects) and not trials:
-        home = without_numbers(problem, fit, numbers, suspects)
-        found, seen = (suspects[0].fit, SEEN_ORDINARY) if suspects else (fit, SEEN)
-        if does_better(problem, found, home, seen):
-            before = home
-        else:  # ordinary numbers meet motions left out as well, which is no news
-            fit, numbers, suspects = home, [], []
-    ended = suspects[0].fit if suspects else fit  # what is named is what is written, with the ordinary numbers that it leaves
-    trials, heard = asked_again(problem, fit, heard, trials)
+    found = what_stands(problem, before, fit, rounds)
+    found = behind_numbers(problem, found, rounds[0].errors, done)
+    trials, heard = asked_again(problem, found.fit, found.heard, found.trials)
+    found = replace(found, trials=trials, heard=heard)
     done("asking doubts again", 1)
-    effects = [_named(problem, ended, t, heard, trials) for t in trials]
-    if suspects or not trials:  # beside a name, a strange number alone is that effect's own form, which no formula has exactly
-        effects += with_suspects(problem, numbers, suspects)
-    also = [Candidate(one.name, one.targets).label for one in effects[len(trials) :]]
-    remainder = rounds[0].formula or unexplained(problem, before, fit, rounds[0].errors, left, trials)
+    effects, also = named_effects(problem, found)
+    remainder = rounds[0].formula or unexplained(problem, found.before, found.fit, rounds[0].errors, found.left, trials)
     done("remainder", 1)
-    verdict, possible = judge(effects, remainder, short), contenders(fit, trials, effects, heard, suspects)
+    verdict, possible = judge(effects, remainder, found.short), contenders(found, effects)
+    fit = found.fit
     if remainder is not None:
         fit = remainder.fit
         effects = [one for one in effects if remainder.beside_names]
         ladder.append(("remainder", np.sqrt(proof_errors(problem, fit))))
     elif also:
         if not trials:
-            ladder[1] = ("calibrated", np.sqrt(proof_errors(problem, before)))
-        fit = ended
+            ladder[1] = ("calibrated", np.sqrt(proof_errors(problem, found.before)))
+        fit = found.ended
         more = f" and {len(also) - 1} more" if len(also) > 1 else ""
         ladder.append((f"+ {also[0]}{more}", np.sqrt(proof_errors(problem, fit))))
     written, fit = for_a_plain_loop(problem, fit)
@@ -159,8 +160,8 @@ def diagnose(problem: Problem, done: Callable[[str, int], object] = lambda text,
         searched=problem.robot,
         verdict=verdict,
         sentence=said + on_steps(problem, written),
-        effects=tuple(as_written(one, ended, fit) for one in effects),
-        before=before,
+        effects=tuple(as_written(one, found.ended, fit) for one in effects),
+        before=found.before,
         after=fit,
         published_rms=rms(ladder[0][1]),
         before_rms=rms(ladder[1][1]),
@@ -170,6 +171,60 @@ def diagnose(problem: Problem, done: Callable[[str, int], object] = lambda text,
         remainder=remainder,
         contenders=possible if verdict == "cannot_tell" else (),
     )
+
+
+def what_stands(problem: Problem, before: Fit, fit: Fit, rounds: Sequence[Round]) -> Found:
+    """The names of a forward search that stay once all of them are there, and what they leave."""
+    taken = [one.taken for one in rounds if one.taken is not None]
+    first = rounds[0].errors
+    fit, kept = backward(problem, fit, [t.candidate for t in taken], first)
+    fit, kept = still_standing(problem, fit, kept) if len(kept) < len(taken) else (fit, kept)
+    fit = with_plain(problem, fit, kept)
+    trials, heard = left_alone(problem, fit, rounds, [t for t in taken if t.candidate in kept])
+    if not trials:
+        return Found(before, fit, trials, heard, first, is_left(problem, first, proof_errors(problem, before)))
+    left = predicted(problem, fit, trials[-1] if len(kept) == len(taken) else None)
+    return Found(before, fit, trials, heard, left, falls_short(problem, first, left))
+
+
+def behind_numbers(
+    problem: Problem, found: Found, first: Float[np.ndarray, "M"], done: Callable[[str, int], object] = lambda text, n: None
+) -> Found:
+    """The same with strange numbers, and what may hide in them, where these are a finding.
+
+    Numbers that are strange beside a real gap have made up for it: they are not what is missing. `first` are the errors of motions
+    left out [rad^2], (M,), with nothing named.
+    """
+    before, fit, trials = found.before, found.fit, found.trials
+    real = is_real(problem, found.left) if trials else found.short
+    if real or not may_hide_more(strange_numbers(problem, fit), bool(trials)):
+        return found
+    # a search that ends near enough knows less of valleys, and calls its numbers surer than they are
+    fit = most_ordinary(problem, fit if fit.ended else polish(fit))
+    suspects: list[Suspect] = []
+    if numbers := off_nominal(problem, fit):
+        strange = [placement(problem, Candidate(n.name, n.targets)).full_name(q) for n in numbers for q in n.values]
+        suspects = find_suspects(problem, fit, strange, lambda n: done("looking behind strange numbers", n))
+    if suspects and trials:
+        suspects, trials = what_stays(problem, trials, suspects, first)
+        fit, numbers = (fit, numbers) if trials else (before, [])  # strange only beside what went out: no answer alone
+    if (numbers or suspects) and not trials:
+        home = without_numbers(problem, fit, numbers, suspects)
+        better, seen = (suspects[0].fit, SEEN_ORDINARY) if suspects else (fit, SEEN)
+        if does_better(problem, better, home, seen):
+            before = home
+        else:  # ordinary numbers meet motions left out as well, which is no news
+            fit, numbers, suspects = home, [], []
+    return replace(found, before=before, fit=fit, trials=trials, numbers=numbers, suspects=suspects)
+
+
+def named_effects(problem: Problem, found: Found) -> tuple[list[Named], list[str]]:
+    """What is named, and the labels of what of that is behind strange numbers, or is one."""
+    effects = [_named(problem, found.ended, t, found.heard, found.trials) for t in found.trials]
+    if found.trials and not found.suspects:  # beside a name, a strange number alone is its own form, which no formula has exactly
+        return effects, []
+    more = with_suspects(problem, found.numbers, found.suspects)
+    return [*effects, *more], [Candidate(one.name, one.targets).label for one in more]
 
 
 def left_alone(
@@ -201,13 +256,12 @@ def without_numbers(problem: Problem, fit: Fit, numbers: Sequence[Named], suspec
     return with_ordinary_numbers(problem, fit)
 
 
-def contenders(
-    fit: Fit, trials: Sequence[Trial], effects: Sequence[Named], rounds: Sequence[Round], suspects: Sequence[Suspect]
-) -> list[tuple[str, Fit]]:
+def contenders(found: Found, effects: Sequence[Named]) -> list[tuple[str, Fit]]:
     """The models that remain possible where the last doubtful effect has rivals: its own and one for each rival."""
-    if suspects:
-        strange = [("strange numbers", fit)] if trials or all(one.taken is None for one in rounds) else []
-        return [*strange, *((s.candidate.label, s.fit) for s in suspects)]
+    trials, rounds = found.trials, found.heard
+    if found.suspects:
+        strange = [("strange numbers", found.fit)] if trials or all(one.taken is None for one in rounds) else []
+        return [*strange, *((s.candidate.label, s.fit) for s in found.suspects)]
     for trial, named in reversed(list(zip(trials, effects, strict=False))):
         if named.confusable_with:
             own = next(r for r in rounds if r.taken is trial)
@@ -248,10 +302,10 @@ def may_hide_more(strange: Sequence[Named], beside_names: bool) -> bool:
     return any(one.name == "servo_gain" or not beside_names for one in strange)
 
 
-def with_suspects(problem: Problem, numbers: list[Named], suspects: Sequence[Suspect]) -> list[Named]:
+def with_suspects(problem: Problem, numbers: Sequence[Named], suspects: Sequence[Suspect]) -> list[Named]:
     """Strange numbers, or the one effect that would make them ordinary: then that, which they may be confused with."""
     if not suspects:
-        return numbers
+        return list(numbers)
     best, others = suspects[0], suspects[1:]
     effect = load("effects", best.candidate.effect, Effect)
     values, intervals, units = numbers_of(problem, best.fit, placement(problem, best.candidate))
@@ -309,51 +363,3 @@ def judge(effects: Sequence[Named], remainder: Remainder | None, short: bool) ->
     if not effects:
         return "none"
     return "cannot_tell" if any(one.confusable_with for one in effects) else "named"
-
-
-def sentence(verdict: Verdict, effects: Sequence[Named], remainder: Remainder | None, joints: Sequence[str]) -> str:
-    """What was found in words that a roboticist uses; `joints` are all that the robot has. `agreement` says that nothing was."""
-    places: dict[str, list[str]] = {}
-    for one in effects:
-        places.setdefault(one.summary, []).extend(one.targets)
-    parts = [summary + _on(targets, joints) for summary, targets in places.items()]
-    if verdict == "unnamed":
-        nothing = " No formula for it holds on motions left out, either; recordings of more such motions may settle it."
-        what = f" It behaves like {remainder.formula} on {remainder.joint}." if remainder else nothing
-        beside = f"Your simulator lacks {_and(parts)}, and something else" if parts else "Something real is missing"
-        return f"{beside} that no effect in the library explains.{what}"
-    if verdict == "cannot_tell":
-        doubtful = [one for one in effects if one.confusable_with]
-        names = "; ".join(f"{one.name} may be {' or '.join(_short(r, one) for r in one.confusable_with)}" for one in doubtful)
-        return f"Your simulator lacks {_and(parts)}, but these motions cannot tell it from others: {names}."
-    return f"Your simulator lacks {_and(parts)}."
-
-
-def on_steps(problem: Problem, written: Problem) -> str:
-    """What to say where the published time step is too long, for the robot or for a plain loop; nothing otherwise."""
-    published, searched, last = (
-        f"{1e3 * float(robot.model.opt.timestep):.3g} ms" for robot in (problem.robot.published, problem.robot, written.robot)
-    )
-    found = f" Its steps of {published} are too long for this robot; all of this is with steps of {searched}."
-    between = f" Commands were recorded between steps of {searched}, so model.xml has steps of {last}."
-    return (found if searched != published else "") + (between if last != searched else "")
-
-
-def _on(targets: Sequence[str], joints: Sequence[str]) -> str:
-    if len(targets) > 2 and set(targets) == set(joints):
-        return f" on all {len(joints)} joints"
-    return f" on {_and(targets)}" if targets else ""
-
-
-def _short(rival: str, one: Named) -> str:
-    """A rival in words: its name alone where it acts where the effect does, and the joints it leaves out where those are fewer."""
-    name, _, place = rival.partition("[")
-    theirs = place.removesuffix("]").split("+") if place else []
-    left = [joint for joint in one.targets if joint not in theirs]
-    if not theirs or not set(theirs) <= set(one.targets) or len(left) >= len(theirs):
-        return f"{name} on {_and(theirs)}" if theirs else rival
-    return f"{name} without {_and(left)}" if left else name
-
-
-def _and(words: Sequence[str]) -> str:
-    return words[0] if len(words) == 1 else ", ".join(words[:-1]) + " and " + words[-1]

@@ -33,7 +33,8 @@ from edream.diagnosis.screen import (
 )
 from edream.diagnosis.starts import as_published
 from edream.diagnosis.trials import Trial
-from edream.diagnosis.verdict import judge, sentence
+from edream.diagnosis.verdict import judge
+from edream.diagnosis.wording import sentence
 from edream.sim.rollout import rollout
 from edream.sim.simulation import SimulatedRobot
 from tests.still_problem import NOISE, commanded, having

@@ -14,7 +14,7 @@ from edream.diagnosis.problem import Problem
 from edream.diagnosis.screen import extend, with_quantities
 from edream.diagnosis.steps import for_a_plain_loop, in_continuous_time, may_tell, moved, with_long_steps, with_short_steps
 from edream.diagnosis.trials import gone_on
-from edream.diagnosis.verdict import on_steps
+from edream.diagnosis.wording import on_steps
 from edream.sim.emit import emit
 from edream.sim.objective import rms
 from edream.sim.open_loop import open_loop

@@ -1,0 +1,58 @@
+"""The words of a diagnosis, that a roboticist uses."""
+
+from collections.abc import Sequence
+from typing import Literal
+
+from edream.diagnosis.naming import Named
+from edream.diagnosis.problem import Problem
+from edream.diagnosis.remainder import Remainder
+
+Verdict = Literal["named", "none", "cannot_tell", "unnamed"]
+
+
+def sentence(verdict: Verdict, effects: Sequence[Named], remainder: Remainder | None, joints: Sequence[str]) -> str:
+    """What was found in words that a roboticist uses; `joints` are all that the robot has. `agreement` says that nothing was."""
+    places: dict[str, list[str]] = {}
+    for one in effects:
+        places.setdefault(one.summary, []).extend(one.targets)
+    parts = [summary + _on(targets, joints) for summary, targets in places.items()]
+    if verdict == "unnamed":
+        nothing = " No formula for it holds on motions left out, either; recordings of more such motions may settle it."
+        what = f" It behaves like {remainder.formula} on {remainder.joint}." if remainder else nothing
+        beside = f"Your simulator lacks {_and(parts)}, and something else" if parts else "Something real is missing"
+        return f"{beside} that no effect in the library explains.{what}"
+    if verdict == "cannot_tell":
+        doubtful = [one for one in effects if one.confusable_with]
+        names = "; ".join(f"{one.name} may be {' or '.join(_short(r, one) for r in one.confusable_with)}" for one in doubtful)
+        return f"Your simulator lacks {_and(parts)}, but these motions cannot tell it from others: {names}."
+    return f"Your simulator lacks {_and(parts)}."
+
+
+def on_steps(problem: Problem, written: Problem) -> str:
+    """What to say where the published time step is too long, for the robot or for a plain loop; nothing otherwise."""
+    published, searched, last = (
+        f"{1e3 * float(robot.model.opt.timestep):.3g} ms" for robot in (problem.robot.published, problem.robot, written.robot)
+    )
+    found = f" Its steps of {published} are too long for this robot; all of this is with steps of {searched}."
+    between = f" Commands were recorded between steps of {searched}, so model.xml has steps of {last}."
+    return (found if searched != published else "") + (between if last != searched else "")
+
+
+def _on(targets: Sequence[str], joints: Sequence[str]) -> str:
+    if len(targets) > 2 and set(targets) == set(joints):
+        return f" on all {len(joints)} joints"
+    return f" on {_and(targets)}" if targets else ""
+
+
+def _short(rival: str, one: Named) -> str:
+    """A rival in words: its name alone where it acts where the effect does, and the joints it leaves out where those are fewer."""
+    name, _, place = rival.partition("[")
+    theirs = place.removesuffix("]").split("+") if place else []
+    left = [joint for joint in one.targets if joint not in theirs]
+    if not theirs or not set(theirs) <= set(one.targets) or len(left) >= len(theirs):
+        return f"{name} on {_and(theirs)}" if theirs else rival
+    return f"{name} without {_and(left)}" if left else name
+
+
+def _and(words: Sequence[str]) -> str:
+    return words[0] if len(words) == 1 else ", ".join(words[:-1]) + " and " + words[-1]
