@@ -199,10 +199,13 @@ def make(model):
 
 def make_batch(batch):
     """A function step() to be called before each batch.step(), for simulations of one model that have been started."""
-    state, laws = Many(batch), calls(batch.get_model(0))
+    state, laws, last = Many(batch), calls(batch.get_model(0)), [-np.inf]
     base, written = base_of(batch, state.friction)
 
     def step():
+        if state.time[0] < last[0]:  # started again
+            state.memory.clear()
+        last[0] = state.time[0]
         apply(state, base, laws)
         written[:] = state.friction
 

@@ -152,6 +152,29 @@ def test_the_side_that_a_gear_was_last_loaded_on_is_kept_until_the_load_passes_t
     assert second.tolist() == (-first).tolist() and not idle.any()
 
 
+def test_a_batch_that_starts_again_remembers_nothing_of_what_it_did_before(tmp_path: Path) -> None:
+    simulated = SimulatedRobot(ROBOT, (Placement(ResidualTorque(["direction_recent_at_2"], [1.0], {}), ("tilt",)),))
+    made = emit(simulated, {simulated.space.names[0]: -0.2})
+    (tmp_path / "model.xml").write_text(made.mjcf)
+    simulations = batch.Batch(mujoco.MjModel.from_xml_path(str(tmp_path / "model.xml")), 1, 1)
+    step = loaded(made.hook, tmp_path).make_batch(simulations)
+
+    def torques() -> np.ndarray:
+        simulations.reset()
+        simulations.bind("qvel")[:] = 1.0
+        simulations.forward()
+        given = []
+        for _ in range(50):
+            step()
+            given.append(simulations.bind("qfrc_applied").copy())
+            simulations.step()
+        return np.array(given)
+
+    first = torques()
+    assert np.abs(first).max() > 0.0
+    np.testing.assert_array_equal(torques(), first)
+
+
 @pytest.mark.parametrize("name", FORMS)
 def test_an_emitted_model_loads_again_as_the_same_robot(name: str, tmp_path: Path) -> None:
     simulated, values = with_effect(name)
