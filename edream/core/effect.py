@@ -62,10 +62,6 @@ class State(Protocol):
         """How fast a joint has been lately [rad/s]: its speed's size, averaged with weights exp(-age / seconds)."""
         ...
 
-    def loaded(self, dof: int, torque: float) -> Float[np.ndarray, "N"]:
-        """Which way a joint's gear last carried more than `torque` [N m]: 1, or -1; 0 where it has not yet."""
-        ...
-
     def let_through(self, index: Mapping[str, int], more: Float[np.ndarray, "N"]) -> Float[np.ndarray, "N"]:
         """What gets through a position servo's limit of `more` torque than its law asks for [N m]."""
         ...

@@ -53,7 +53,6 @@ FEATURES = (
 )
 BUMPED = ("bump", "direction_bump", "speed_bump", "motor_bump")
 RECENT = (0.5, 2.0, 10.0)  # s, over which a joint's speed may be remembered: what warms up, or settles
-LOADED = (0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.5, 0.6, 0.8)  # of a large torque, whose sign may be remembered: what jumps
 
 
 def residual_torque(state: State, index: dict[str, int], values: Mapping[str, Any]) -> None:
@@ -91,8 +90,6 @@ def residual_torque(state: State, index: dict[str, int], values: Mapping[str, An
         elif kind in ("direction_recent", "speed_recent"):
             lately = state.recent(index["dof"], float(rest))
             torque = torque + coefficient * lately * (direction if kind == "direction_recent" else v)
-        elif kind == "loaded":
-            torque = torque + coefficient * state.loaded(index["dof"], float(rest))
         elif kind in ("other_angle", "direction_other", "other_speed", "speed_product", "speed_other"):
             dof = int(rest)
             other = state.qpos[:, dof] if kind in ("other_angle", "direction_other") else state.qvel[:, dof]
@@ -222,7 +219,6 @@ def _candidates(problem: Problem, joint: str) -> tuple[dict[str, float], list[st
     crossed = ("other_angle", "direction_other", "other_speed", "speed_product", "speed_other")
     names += [f"{kind}_at_{dof}" for kind in crossed for dof in others]
     names += [f"{kind}_at_{seconds:g}" for kind in ("direction_recent", "speed_recent") for seconds in RECENT]
-    names += [f"loaded_at_{share * torque_scale(model, joint):.3g}" for share in LOADED]
     return shape, names
 
 
@@ -309,7 +305,5 @@ def _words(quantity: str, shape: Mapping[str, float]) -> str:
     if kind.endswith("recent"):
         lately = f"mean |v| of the last {rest} s"
         return f"sign(v) {lately}" if kind == "direction_recent" else f"v {lately}"
-    if kind == "loaded":
-        return f"sign(load when last beyond {rest} N m)"
     words = {"other_angle": "q", "direction_other": "sign(v) q", "other_speed": "v", "speed_product": "v v"}
     return f"v |v{rest}|" if kind == "speed_other" else f"{words[kind]}{rest}"

@@ -8,14 +8,14 @@ from jaxtyping import Float
 from mujoco import batch
 
 from edream.sim.limits import let_through, limits_of
-from edream.sim.memory import loaded, recent
+from edream.sim.memory import at_rest, recent
 from edream.sim.simulation import SimulatedRobot, hook_index, late_last
 
 
 class BatchState:
     """What hooks see of a batch: `edream.core.effect.State` for N simulations."""
 
-    recent, loaded, let_through = recent, loaded, let_through
+    recent, let_through = recent, let_through
 
     def __init__(
         self, simulations: batch.Batch, start: Float[np.ndarray, "N"] | float = 0.0, past: Callable[[int, float], Any] | None = None
@@ -52,11 +52,6 @@ class BatchState:
     @property
     def speed_gain(self) -> Float[np.ndarray, "N actuators"]:
         return -self._bias[:, :, 2]
-
-
-def at_rest(dof: int, seconds: float) -> float:
-    """How fast a joint was before a recording that began at rest [rad/s]."""
-    return 0.0
 
 
 def batch_hooks(

@@ -15,13 +15,6 @@ def recent(state: Any, dof: Any, seconds: Any) -> Any:
     return before[1]
 
 
-def loaded(state: Any, dof: Any, torque: Any) -> Any:
-    """Which way a joint's gear last carried more than `torque` [N m], (N,): 1, or -1; 0 where it has not yet.
-
-    A relay with hysteresis. Source: Preisach, Zeitschrift fuer Physik 94, 1935, which makes hysteresis of such relays.
-    """
-    load = state.gear_torque[:, dof]
-    before = state.memory.get(("loaded", dof, torque), np.zeros(len(load)))
-    side = np.where(load > torque, 1.0, np.where(load < -torque, -1.0, before))
-    state.memory["loaded", dof, torque] = side
-    return side
+def at_rest(dof: Any, seconds: Any) -> Any:
+    """How fast a joint was before a recording that began at rest [rad/s]."""
+    return 0.0

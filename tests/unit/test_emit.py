@@ -2,7 +2,6 @@
 
 import importlib.util
 from pathlib import Path
-from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -15,7 +14,6 @@ from edream.core.episode import Episode
 from edream.diagnosis.remainder import ResidualTorque
 from edream.sim.emit import emit
 from edream.sim.hooks import BatchState
-from edream.sim.memory import loaded as loaded_side
 from edream.sim.robot import load_robot
 from edream.sim.rollout import rollout
 from edream.sim.simulation import Placement, SimulatedRobot
@@ -106,7 +104,6 @@ def test_stock_mujoco_replays_the_emitted_model_as_edream_does(name: str, tmp_pa
 TERMS = (
     "direction_recent_at_2",
     "speed_recent_at_10",
-    "loaded_at_0.05",
     "speed_other_at_0",
     "speed_product_at_0",
     "direction_bump_at_0",
@@ -140,16 +137,6 @@ def test_a_joint_is_remembered_as_fast_as_it_was_lately() -> None:
         again = state.recent(0, 2.0)
         np.testing.assert_array_equal(state.recent(0, 2.0), again)  # asked twice in a step
     np.testing.assert_allclose(again, 1.5 * (1.0 - np.exp(-0.5)), rtol=1e-6)
-
-
-def test_the_side_that_a_gear_was_last_loaded_on_is_kept_until_the_load_passes_the_other() -> None:
-    memory, sides = {}, []
-    for load in (0.05, 0.3, 0.1, -0.1, -0.3, -0.1, 0.1, 0.21):
-        state = SimpleNamespace(gear_torque=np.array([[load], [-load], [0.0]]), memory=memory)
-        sides.append(loaded_side(state, 0, 0.2))
-    first, second, idle = np.array(sides).T
-    assert first.tolist() == [0, 1, 1, 1, -1, -1, -1, 1]
-    assert second.tolist() == (-first).tolist() and not idle.any()
 
 
 def test_a_batch_that_starts_again_remembers_nothing_of_what_it_did_before(tmp_path: Path) -> None:
