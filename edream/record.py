@@ -40,6 +40,7 @@ class RecordConfig:
         rate: rows per second [Hz].
         step: integration step [s].
         deviation: largest relative deviation of the nuisance parameters.
+        smooth: speed [rad/s] over which dry friction comes up, so that a stuck joint creeps; 0 where it holds.
         noise: standard deviation of encoder noise [rad].
         counts: encoder counts per turn.
         jitter: standard deviation of the recorder's clock [s].
@@ -62,6 +63,7 @@ class RecordConfig:
     rate: float = 50.0
     step: float = 0.0005
     deviation: float = 0.3
+    smooth: float = 0.0
     noise: float = 0.0002
     counts: int = 16384
     jitter: float = 0.0003
@@ -80,7 +82,7 @@ class RecordConfig:
             raise EdreamError(
                 f"record.step is {self.step} s; expected at most 0.001 s, so that the robot is finer than its simulator."
             )
-        for name in ("noise", "jitter", "weight"):
+        for name in ("noise", "jitter", "weight", "smooth"):
             if getattr(self, name) < 0:
                 raise EdreamError(f"record.{name} is {getattr(self, name)}; expected 0 or more.")
         if not 0.0 <= self.deviation < 1.0:
@@ -155,7 +157,7 @@ def hidden_robot(robot: RobotModel, config: RecordConfig, seed: int, task: bool 
     named = config.effects if config.effects is not None else ("drawn",) if task else ()
     effects = tuple(one for name in named for one in (drawn_effects(seed) if name == "drawn" else (name,)))
     rng = np.random.default_rng(np.random.SeedSequence(seed).spawn(2)[0])
-    return with_cell(draw(robot, effects, rng, config.deviation, config.at), seed)
+    return with_cell(replace(draw(robot, effects, rng, config.deviation, config.at), smooth=config.smooth), seed)
 
 
 def revealed(path: Path) -> list[str]:

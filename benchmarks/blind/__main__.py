@@ -18,7 +18,7 @@ from edream.core.errors import EdreamError
 def main() -> None:
     """Run, score, write the tables."""
     given = arguments()
-    session = Session(given.motions, given.seconds)
+    session = Session(given.motions, given.seconds, given.smooth)
     chosen = cases(given.robots, given.cases, given.seeds, given.only, given.first_seed)
     chosen = chosen if given.sample is None else drawn(chosen, given.sample, given.first_seed)
     results = run_cases(
@@ -62,6 +62,7 @@ def arguments() -> argparse.Namespace:
     add("--again", action="store_true", help="where the answer is cannot_tell, record the suggested motion and diagnose again")
     add("--motions", type=int, default=12, help="recordings of each case")
     add("--seconds", type=float, default=10.0, help="length of each recording [s]")
+    add("--smooth", type=float, default=0.0, help="speed over which dry friction comes up [rad/s]; 0: a stuck joint holds")
     add("--out", type=Path, default=ROOT / "runs" / "blind")
     return parser.parse_args()
 

@@ -65,10 +65,11 @@ class Case:
 
 @dataclass(frozen=True)
 class Session:
-    """How long each recording session is: number of motions and their length [s]."""
+    """How long each recording session is: number of motions and their length [s]; and how smooth dry friction is [rad/s]."""
 
     motions: int = 12
     seconds: float = 10.0
+    smooth: float = 0.0
 
 
 def cases(robots: Sequence[str], sorts: Sequence[str], seeds: int, only: Sequence[str] = (), first: int = 0) -> list[Case]:
@@ -132,7 +133,8 @@ def record_case(case: Case, robot: RobotModel, folder: Path, session: Session) -
     """
     data, sealed = folder / "made" / case.code, folder / "truth" / f"{case.code}.json"
     if not sealed.exists():
-        config = RecordConfig(data, case.effects, format="lerobot_v3", motions=session.motions, seconds=session.seconds)
+        long = {"motions": session.motions, "seconds": session.seconds}
+        config = RecordConfig(data, case.effects, format="lerobot_v3", smooth=session.smooth, **long)
         record(robot, config, seed=case.seed)
         sealed.parent.mkdir(parents=True, exist_ok=True)
         truth_path(data).rename(sealed)

@@ -8,6 +8,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import astuple
 from pathlib import Path
 from time import monotonic
 from typing import Any
@@ -91,7 +92,7 @@ def finished(path: Path, session: Session) -> dict[str, dict[str, Any]]:
             one = json.loads(line)
         except json.JSONDecodeError:
             continue
-        if one["session"] == [session.motions, session.seconds]:
+        if one["session"] == list(astuple(session)):
             kept[one["case"]] = one
     return kept
 
@@ -124,7 +125,7 @@ def run_cases(
         if monotonic() > end or robot is None:
             return
         result = run_case(case, robot, folder, session, baselines, again)
-        line = {"case": case.name, "code": case.code, "session": [session.motions, session.seconds], "version": version(), **result}
+        line = {"case": case.name, "code": case.code, "session": list(astuple(session)), "version": version(), **result}
         with path.open("a", encoding="utf-8") as file:
             file.write(json.dumps(line) + "\n")
         kept[case.name] = line

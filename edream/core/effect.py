@@ -94,6 +94,7 @@ class Effect(ABC):
         of_position_servo: whether it acts on what a servo makes of a commanded position, and so not under torque or speed commands.
         special: a simpler effect that this one is where one of its quantities has a certain value: (effect, quantity, value).
         finer: the same effect with one number more that only some motions tell; its other numbers come first, in the same order.
+        softer: the same effect in other forms with one number more, of which a robot may have one; its other numbers come first.
     """
 
     name: str
@@ -110,6 +111,7 @@ class Effect(ABC):
     of_position_servo: bool = False
     special: tuple[str, str, float] | None = None
     finer: "Effect | None" = None
+    softer: "tuple[Effect, ...]" = ()
 
     @abstractmethod
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:

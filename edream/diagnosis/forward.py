@@ -8,6 +8,7 @@ from jaxtyping import Float
 from edream.diagnosis.astray import screen_twice
 from edream.diagnosis.backward import nearer_without, passes, stands
 from edream.diagnosis.candidates import untouched
+from edream.diagnosis.creep import creeping, outdoes
 from edream.diagnosis.decide import Round, restarted, settled, simplest, simplified, told_apart, with_confusable
 from edream.diagnosis.descent import Fit, polish
 from edream.diagnosis.ends import arrived
@@ -29,6 +30,8 @@ def forward(
     problem: Problem, fit: Fit, done: Callable[[str, int], object] = lambda text, n: None, taken_before: Sequence[Round] = ()
 ) -> tuple[Problem, Fit, list[Round]]:
     """Add effects while they pass, the best on left-out motions first; before each, steps are made as short as they need to be.
+
+    Where friction that lets stuck joints creep does better than every candidate, it becomes a usual number.
 
     An earlier name gives way to what it was not told from, where that leaves far less beside the one that came last.
 
@@ -63,6 +66,10 @@ def forward(
         trials = settled(problem, fit, errors, trials)
         trials = restarted(problem, errors, trials)
         trials = simplified(problem, fit, errors, trials)
+        softer = creeping(problem, fit, errors)
+        if softer is not None and outdoes(softer, trials, problem.settings.seed):
+            problem, fit = softer.problem, softer.fit
+            continue
         if not rounds and (formula := outdone(problem, fit, errors, trials)) is not None:
             rounds.append(Round(fit, errors, scored, trials, None, formula))
             break

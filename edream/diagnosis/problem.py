@@ -87,6 +87,7 @@ class Problem:
         counted: which joints' errors count, (J,).
         noise: standard deviation of each joint's measurement [rad], (J,).
         shared: groups whose motions tell how much of the damping is the servo's, within its torque limit.
+        creep: dry friction in a form that lets a stuck joint creep, where the motions ask for it.
     """
 
     robot: RobotModel
@@ -97,6 +98,7 @@ class Problem:
     counted: np.ndarray
     noise: Float[np.ndarray, "J"]
     shared: tuple[tuple[str, ...], ...] = ()
+    creep: Effect | None = None
 
     @property
     def noise_floor(self) -> float:
@@ -242,6 +244,8 @@ def nuisance_placements(problem: Problem, fitted: Mapping[str, float] | None = N
             effect = load("effects", name, Effect)
             if name == "viscous" and group in problem.shared and effect.finer:
                 effect = effect.finer
+            if problem.creep is not None and name == problem.creep.name:
+                effect = problem.creep
             bare = Placement(effect, group, scaled=scaling_of(problem, name))
             bounds = {}
             for short, full in _names(bare, problem):

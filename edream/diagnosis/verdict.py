@@ -37,7 +37,7 @@ from edream.diagnosis.remainder import Remainder, find_remainder
 from edream.diagnosis.steps import for_a_plain_loop, in_a_plain_loop
 from edream.diagnosis.suspects import Suspect, find_suspects, most_ordinary, what_stays, with_ordinary_numbers
 from edream.diagnosis.trials import Trial, is_another, judged, predicted
-from edream.diagnosis.wording import Verdict, on_steps, sentence
+from edream.diagnosis.wording import Verdict, on_creep, on_steps, sentence
 from edream.sim.objective import rms
 from edream.sim.robot import RobotModel
 
@@ -159,7 +159,7 @@ def diagnose(problem: Problem, done: Callable[[str, int], object] = lambda text,
         problem=written,
         searched=problem.robot,
         verdict=verdict,
-        sentence=said + on_steps(problem, written),
+        sentence=said + on_creep(problem) + on_steps(problem, written),
         effects=tuple(as_written(one, found.ended, fit) for one in effects),
         before=found.before,
         after=fit,

@@ -34,8 +34,13 @@ def on_steps(problem: Problem, written: Problem) -> str:
         f"{1e3 * float(robot.model.opt.timestep):.3g} ms" for robot in (problem.robot.published, problem.robot, written.robot)
     )
     found = f" Its steps of {published} are too long for this robot; all of this is with steps of {searched}."
-    between = f" Commands were recorded between steps of {searched}, so model.xml has steps of {last}."
+    between = f" A plain loop with steps of {searched} gives commands too early or too late, so model.xml has steps of {last}."
     return (found if searched != published else "") + (between if last != searched else "")
+
+
+def on_creep(problem: Problem) -> str:
+    """What to say where dry friction does not hold; nothing otherwise."""
+    return " Its dry friction does not hold a stuck joint, which creeps; so it does in model.xml." if problem.creep else ""
 
 
 def _on(targets: Sequence[str], joints: Sequence[str]) -> str:

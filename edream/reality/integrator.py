@@ -7,6 +7,9 @@ A step of length h goes through q' = q + h/2 v, where all forces are taken; thei
 with p the impulse of dry friction: joints that stick have v1 = 0 and |p| <= h F, joints that slip have p = h F sign(v1). Which is
 which is found by an active-set search over all joints at once. Source of the scheme: Hairer, Lubich, Wanner, Geometric Numerical
 Integration, II.1; of the friction problem: Moreau, Unilateral contact and dry friction in finite freedom dynamics, 1988.
+
+Where dry friction is smooth it is a force, F tanh(v / c) with a speed c, whose slope enters whole: it is too steep for the middle
+of a step.
 """
 
 from collections.abc import Sequence
@@ -148,8 +151,16 @@ class _Machine:
             for limit in (upper, lower):
                 limit[:, self.motor[self.soft]] -= bearing
                 limit[:, self.soft] += bearing
+        rub = np.zeros_like(y)
+        if plant.smooth:
+            rub, slope = _smooth(u, upper, lower, plant.smooth)
+            matrix[:, self.diagonal, self.diagonal] += slope
+            force -= rub / h
+            upper = lower = np.zeros_like(y)
         goal = (matrix @ u[..., None])[..., 0] + h * force
         after, side, impulse = slide(matrix, goal, upper, lower, side)
+        if plant.smooth:
+            impulse = rub + slope * (after - u)
         load = motor_force - (impulse[:, self.motor] + (plant.armature + implicit) * (after - u)[:, self.motor]) / h
         return after, side, load
 
@@ -181,6 +192,12 @@ class _Machine:
         matrix[:, b, b] += implicit
         matrix[:, a, b] -= implicit
         matrix[:, b, a] -= implicit
+
+
+def _smooth(u: np.ndarray, upper: np.ndarray, lower: np.ndarray, speed: float) -> tuple[np.ndarray, np.ndarray]:
+    """Friction impulse at velocities u, (M, N), which comes up over `speed` [rad/s], and its slope."""
+    along, most = np.tanh(u / speed), np.where(u > 0.0, upper, lower)
+    return most * along, most * (1.0 - along**2) / speed
 
 
 def slide(

@@ -28,6 +28,7 @@ class Plant:
         give_damping: damping of that shaft.
         gap: half width of the dead zone in that shaft.
         sees: whether encoder and servo sit on the link or on the motor side of that shaft.
+        smooth: speed [rad/s] over which dry friction comes up, so that a stuck joint creeps; 0 where it holds.
     """
 
     joints: tuple[str, ...]
@@ -47,6 +48,7 @@ class Plant:
     give_damping: np.ndarray
     gap: np.ndarray
     sees: Literal["link", "motor"] = "link"
+    smooth: float = 0.0
 
     def with_values(self, **arrays: np.ndarray) -> "Plant":
         """A plant with other numbers."""

@@ -138,7 +138,7 @@ def true_plant(truth: Truth, nominal: mujoco.MjModel, terms: Sequence[Term]) -> 
     """The robot with its nuisance parameters and its hidden effects' numbers.
 
     Raises:
-        EdreamError: an effect puts something between motor and link, which robots among things do not have.
+        EdreamError: an effect puts something between motor and link, or friction is smooth, which robots among things do not have.
     """
     plant = truth.plant(nominal)
     for term in terms:
@@ -147,6 +147,8 @@ def true_plant(truth: Truth, nominal: mujoco.MjModel, terms: Sequence[Term]) -> 
         raise EdreamError(
             "Joint compliance and backlash cannot be hidden in a robot that does tasks; leave them out of record.effects."
         )
+    if plant.smooth:
+        raise EdreamError("Dry friction of a robot that does tasks holds; leave record.smooth at 0.")
     return plant
 
 

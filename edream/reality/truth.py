@@ -50,6 +50,7 @@ class Truth:
         effects: the hidden effects, in the order in which they act.
         nuisance: true kp, kd, damping, frictionloss and armature by joint; those not named are nominal.
         sees: whether encoder and servo sit on the link or the motor side of a shaft that gives.
+        smooth: speed [rad/s] over which dry friction comes up, so that a stuck joint creeps; 0 where it holds.
         cell: what is true of its workcell: factors on the `mass` and `grip` (contact friction) of things, the seed of its `look`.
         cameras: what the cameras that recorded it are like, as `CellLook` has it; empty where none did.
     """
@@ -58,12 +59,13 @@ class Truth:
     effects: tuple[Hidden, ...] = ()
     nuisance: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     sees: Literal["link", "motor"] = "link"
+    smooth: float = 0.0
     cell: Mapping[str, float] = field(default_factory=dict)
     cameras: Mapping[str, Any] = field(default_factory=dict)
 
     def plant(self, model: mujoco.MjModel) -> Plant:
         """The robot with its true nuisance parameters and none of its hidden effects."""
-        plant = replace(nominal_plant(model), sees=self.sees)
+        plant = replace(nominal_plant(model), sees=self.sees, smooth=self.smooth)
         arrays = {}
         for quantity, by_joint in self.nuisance.items():
             if quantity not in NUISANCE:

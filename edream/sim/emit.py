@@ -23,6 +23,8 @@ FIELDS = {
     "dof_damping": ("joint", "damping", 0),
     "dof_dampingpoly": ("joint", "damping", slice(1, 3)),
     "dof_frictionloss": ("joint", "frictionloss", None),
+    "dof_solref": ("joint", "solref_friction", slice(None)),
+    "dof_solimp": ("joint", "solimp_friction", slice(None)),
     "dof_armature": ("joint", "armature", None),
     "jnt_stiffness": ("joint", "stiffness", 0),
     "jnt_stiffnesspoly": ("joint", "stiffness", slice(1, 3)),

@@ -1,6 +1,10 @@
 """Dry friction that holds: MuJoCo's default lets a stuck joint creep."""
 
 import mujoco
+import numpy as np
+from jaxtyping import Float
+
+from edream.core.effect import Fields
 
 IMPEDANCE = 0.9999
 
@@ -16,3 +20,19 @@ def hold_still(spec: mujoco.MjSpec, joint: str) -> None:
     found = spec.joint(joint)
     found.solref_friction = [2.0 * spec.option.timestep, 1.0]
     found.solimp_friction = [IMPEDANCE, IMPEDANCE, 0.001, 0.5, 2.0]
+
+
+def let_creep(fields: Fields, dof: int, torque: Float[np.ndarray, "N"], speed: Float[np.ndarray, "N"], impedance: float) -> None:
+    """Let dry friction [N m] of a degree of freedom hold a load in proportion to speed until it is whole at `speed` [rad/s].
+
+        tau = -F clip(qd / speed, -1, 1)
+
+    A constraint of impedance d and time constant T acts on slow speeds as a damping of 2 / ((1 - d) T w), with w the inverse of the
+    inertia that the joint moves. `impedance` is the least d: a small one stops a joint at once, as a smooth law of friction does;
+    one near 1 takes T for it, as MuJoCo's defaults do. Writes `solreffriction` and `solimpfriction`. Source: as `hold_still`.
+    """
+    steps = 2.0 * fields.model.opt.timestep
+    soft = 2.0 * speed / (np.maximum(torque, 1e-9) * fields.model.dof_invweight0[dof])  # (1 - d) T
+    give = np.clip(soft / steps, 1.0 - IMPEDANCE, 1.0 - impedance)
+    fields["dof_solimp"][:, dof, 0] = fields["dof_solimp"][:, dof, 1] = 1.0 - give
+    fields["dof_solref"][:, dof, 0] = np.maximum(steps, soft / give)

@@ -149,4 +149,4 @@ def summary(found: Diagnosis, bundle: Mapping[str, Any], more: str) -> dict[str,
     }
 
 
-ENTRY = Stage("diagnose", 139, ("ingest",), DiagnoseConfig, run, sources, ("mujoco", "numpy", "scipy"))
+ENTRY = Stage("diagnose", 140, ("ingest",), DiagnoseConfig, run, sources, ("mujoco", "numpy", "scipy"))

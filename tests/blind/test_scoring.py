@@ -159,8 +159,8 @@ def test_a_longer_sample_begins_with_the_shorter_one_and_another_seed_draws_othe
 
 def test_finished_cases_are_kept_and_a_line_cut_short_is_not_one(tmp_path: Path) -> None:
     path = tmp_path / "results.jsonl"
-    whole = json.dumps({"case": "a", "session": [12, 10.0], "verdict": "none"})
-    other = json.dumps({"case": "b", "session": [8, 5.0], "verdict": "none"})
+    whole = json.dumps({"case": "a", "session": [12, 10.0, 0.0], "verdict": "none"})
+    other = json.dumps({"case": "b", "session": [8, 5.0, 0.0], "verdict": "none"})
     path.write_text(f'{whole}\n{other}\n{{"case": "c", "sess')
     assert list(finished(path, Session())) == ["a"]
 

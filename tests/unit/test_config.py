@@ -122,6 +122,7 @@ def test_a_folder_of_ones_own_adds_choices_and_its_misspelt_keys_are_refused(tmp
         "sweep.seconds=0",
         "seed=-1",
         "record.noise=-1",
+        "record.smooth=-0.01",
     ],
 )
 def test_a_setting_out_of_its_range_is_one_sentence_that_names_it(override: str) -> None:

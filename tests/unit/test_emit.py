@@ -21,7 +21,7 @@ from edream.sim.window import whole
 
 NAMES = [name for name in catalog.names("effects") if name != "contact_friction"]
 ROBOT = load_robot(Path(__file__).resolve().parents[2] / "edream" / "robots" / "pan_tilt.xml", site="ee")
-FORMS = [*NAMES, "load_friction+"]  # and one finer form, which has a hook of its own
+FORMS = [*NAMES, "load_friction+", "coulomb~"]  # and one finer form, which has a hook of its own, and one that is softer
 PLACES = {"joint": ("tilt",), "pair": ("tilt<-pan",), "body": ("head",), "world": ()}
 
 
@@ -33,8 +33,9 @@ def motion() -> Episode:
 
 def with_effect(name: str) -> tuple[SimulatedRobot, dict[str, float]]:
     """The pan-tilt with odd friction and gain, and a visible version of one effect."""
-    effect = catalog.load("effects", name.removesuffix("+"), Effect)
+    effect = catalog.load("effects", name.rstrip("+~"), Effect)
     effect = effect.finer if name.endswith("+") and effect.finer else effect
+    effect = effect.softer[0] if name.endswith("~") else effect
     base = [Placement(catalog.load("effects", n, Effect), (j,)) for n in ("coulomb", "servo_gain") for j in ROBOT.joints]
     own = Placement(effect, PLACES[effect.place])
     base = [p for p in base if (p.effect.name, p.targets) != (effect.name, own.targets)]

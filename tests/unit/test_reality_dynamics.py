@@ -89,6 +89,17 @@ def test_dry_friction_holds_on_a_slope_below_its_limit_and_gives_above() -> None
         assert (np.ptp(track.link[:, 0, 1]) == 0.0) == holds
 
 
+def test_smooth_dry_friction_creeps_on_a_slope_as_fast_as_its_law_says() -> None:
+    model = load_robot(FOLDER / "pan_tilt.xml").model
+    nominal = nominal_plant(model).with_values(kp=np.zeros(2), kd=np.zeros(2), damping=np.zeros(2), smooth=0.004)
+    start = np.array([[0.0, 0.2]])
+    _, bias = nominal.tree.terms(start, np.zeros((1, 2)), nominal.gravity)
+    plant = nominal.with_values(frictionloss=np.array([0.1, 2.0 * abs(float(bias[0, 1]))]))
+    track = move(plant, (), start, np.tile(start, (400, 1, 1)), 0.0005)
+    assert track.velocity[-1, 0, 1] == pytest.approx(-np.sign(bias[0, 1]) * 0.004 * np.arctanh(0.5), rel=0.02)
+    assert abs(track.velocity[-1, 0, 0]) < 1e-6
+
+
 def test_the_friction_solve_meets_its_law() -> None:
     rng = np.random.default_rng(3)
     root = rng.normal(size=(40, 5, 5))

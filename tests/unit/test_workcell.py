@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -196,6 +197,11 @@ def test_reality_among_things_moves_as_reality_alone(effects: tuple[str, ...]) -
 def test_shafts_that_give_are_refused_among_things() -> None:
     with pytest.raises(EdreamError, match="backlash"):
         RealWorkcell(robot(), hidden(effects=("backlash",)), task())
+
+
+def test_smooth_friction_is_refused_among_things() -> None:
+    with pytest.raises(EdreamError, match=r"leave record\.smooth at 0"):
+        RealWorkcell(robot(), replace(hidden(), smooth=0.01), task())
 
 
 def test_the_truth_of_a_workcell_survives_its_seal(tmp_path: Path) -> None:

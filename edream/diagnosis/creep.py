@@ -1,0 +1,59 @@
+"""Dry friction that lets a stuck joint creep: a usual number more, where motions ask for that and for no name instead."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from edream.catalog import load
+from edream.core.effect import Effect
+from edream.diagnosis.descent import Fit, begin, descend
+from edream.diagnosis.left_out import bootstrap, leaves_no_gap, left_out_errors
+from edream.diagnosis.problem import Problem
+from edream.diagnosis.trials import Trial, on_few
+
+FRICTION = "coulomb"
+FIRST, FURTHER = 4, 6  # steps on a few motions, and on all
+
+
+@dataclass(frozen=True, eq=False)
+class Creeping:
+    """A problem whose dry friction lets stuck joints creep, its fit, and that fit's errors on motions left out [rad^2], (M,)."""
+
+    problem: Problem
+    fit: Fit
+    errors: Float[np.ndarray, "M"]
+
+
+def creeping(problem: Problem, fit: Fit, errors: Float[np.ndarray, "M"]) -> Creeping | None:
+    """The model with friction that creeps, in the form that suits the motions best; None where that surely gains nothing on those
+    left out, whose `errors` are without it [rad^2], (M,), or the share of the gap that an effect must close is not met."""
+    forms = load("effects", FRICTION, Effect).softer
+    if FRICTION not in problem.settings.nuisance or problem.creep is not None or leaves_no_gap(problem, fit):
+        return None
+    few, least = on_few(problem, fit), problem.settings.gain
+    best, form = min(((_softened(few, fit, form, FIRST), form) for form in forms), key=lambda one: one[0].rms)
+    if few.rms**2 - best.rms**2 < least * (few.rms**2 - problem.floor**2):
+        return None
+    softer = replace(problem, creep=form)
+    end = _softened(fit, best, form, FURTHER)
+    left = left_out_errors(softer, end)
+    low, _ = bootstrap(errors - left, problem.settings.seed)
+    enough = errors.mean() - left.mean() >= least * (errors.mean() - problem.floor**2)
+    return Creeping(softer, end, left) if low > 0.0 and enough else None
+
+
+def outdoes(found: Creeping, trials: Sequence[Trial], seed: int) -> bool:
+    """Whether motions left out speak for friction that creeps and against every effect that surely helps."""
+    return all(bootstrap(t.errors - found.errors, seed)[0] > 0.0 for t in trials if t.sure)
+
+
+def _softened(fit: Fit, start: Fit, form: Effect, steps: int) -> Fit:
+    """A fit with another form of dry friction on its motions, some steps from the numbers of another, which may have that form."""
+    simulated = fit.objective.simulated
+    placements = [replace(one, effect=form) if one.effect.name == FRICTION else one for one in simulated.placements]
+    softer = simulated.with_placements(placements)
+    found = start.space.mapping(start.values)
+    unit = softer.space.to_unit(np.array([found.get(p.name, p.start) for p in softer.space.parameters]))
+    return descend(begin(replace(fit.objective, simulated=softer, simulations=0), np.clip(unit, 0.0, 1.0)), None, steps)

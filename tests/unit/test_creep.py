@@ -1,0 +1,80 @@
+"""Dry friction that lets a stuck joint creep: its law in MuJoCo, and when a diagnosis makes it a usual number."""
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+import edream
+from edream import catalog
+from edream.core.effect import Effect
+from edream.diagnosis.creep import creeping, outdoes
+from edream.diagnosis.left_out import leaves_no_gap
+from edream.diagnosis.nuisance import fit_nuisance
+from edream.diagnosis.problem import Settings, prepare
+from edream.diagnosis.trials import Trial, predicted
+from edream.diagnosis.verdict import diagnose
+from edream.reality.truth import Truth, draw
+from edream.sim.emit import emit
+from edream.sim.robot import RobotModel, load_robot
+from edream.sim.simulation import Placement, SimulatedRobot
+from tests.stand_in import episodes_of
+
+HEAD = load_robot(Path(edream.__file__).parent / "robots" / "pan_tilt.xml", site="ee")
+WHEEL = """<mujoco><option timestep="0.002" gravity="0 0 0"/><worldbody><body><joint name="turn" axis="0 0 1" damping="0"/>
+  <geom type="box" size="0.1 0.1 0.1" mass="3"/></body></worldbody>
+  <actuator><position name="turn" joint="turn" kp="1e-6"/></actuator></mujoco>"""
+FORMS = catalog.load("effects", "coulomb", Effect).softer
+
+
+def pushed(form: Effect, torque: float, creep: float) -> float:
+    """How fast a wheel with dry friction of 0.5 N m turns after a second under a torque [rad/s], in the model that is written."""
+    simulated = SimulatedRobot(RobotModel("wheel", WHEEL), (Placement(form, ("turn",)),))
+    made = emit(simulated, {"coulomb.torque[turn]": 0.5, "coulomb.creep[turn]": creep})
+    model = mujoco.MjModel.from_xml_string(made.mjcf)
+    data = mujoco.MjData(model)
+    data.qfrc_applied[0] = torque
+    mujoco.mj_step(model, data, 500)
+    return float(data.qvel[0])
+
+
+@pytest.mark.parametrize("form", FORMS, ids=["at once", "slowly"])
+def test_a_stuck_joint_creeps_in_proportion_to_what_pulls_at_it(form: Effect) -> None:
+    for creep in (1e-4, 3e-3, 3e-2):
+        for share in (0.3, 0.8):
+            assert pushed(form, share * 0.5, creep) == pytest.approx(share * creep, rel=0.02)
+
+
+@pytest.mark.parametrize("form", FORMS, ids=["at once", "slowly"])
+def test_a_joint_that_is_pulled_harder_than_its_friction_slides(form: Effect) -> None:
+    inertia = 3.0 * 0.2**2 / 6.0
+    assert pushed(form, 0.7, 3e-3) == pytest.approx((0.7 - 0.5) / inertia, rel=0.02)
+
+
+def smooth(speed: float, effects: tuple[str, ...] = (), seed: int = 4) -> Truth:
+    """A pan-tilt head whose dry friction comes up over so many rad/s."""
+    drawn = draw(HEAD, effects, np.random.default_rng(seed), 0.3, ("tilt",))
+    return Truth(drawn.robot, drawn.effects, drawn.nuisance, smooth=speed)
+
+
+def test_a_robot_with_smooth_friction_lacks_nothing_and_its_joints_creep_as_fast_as_they_do() -> None:
+    found = diagnose(prepare(HEAD, episodes_of(HEAD, smooth(0.01), 4), Settings()))
+    assert found.verdict == "none"
+    assert found.sentence.startswith("Your simulator agrees")
+    assert "does not hold a stuck joint, which creeps" in found.sentence
+    assert found.problem.creep in FORMS
+    assert leaves_no_gap(found.problem, found.after)
+    numbers = found.after.space.mapping(found.after.values)
+    for joint in HEAD.joints:
+        assert 0.005 < numbers[f"coulomb.creep[{joint}]"] < 0.025
+
+
+def test_friction_that_holds_is_not_taken_for_one_that_creeps() -> None:
+    problem = prepare(HEAD, episodes_of(HEAD, smooth(0.0, ("stribeck",)), 4), Settings())
+    fit = fit_nuisance(problem)
+    assert not leaves_no_gap(problem, fit)
+    errors = predicted(problem, fit, None)
+    found = creeping(problem, fit, errors)
+    true = Trial(None, 1.0, fit, np.full(len(errors), problem.floor**2), 1.0, True)
+    assert found is None or not outdoes(found, [true], 0)
