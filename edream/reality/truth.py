@@ -202,7 +202,7 @@ def unseal(path: Path) -> Truth:
         raise EdreamError(f"The sealed truth {path} was altered: its digest does not match its content.")
     fields = json.loads(plain)
     hidden = tuple(Hidden(h["name"], tuple(h["targets"]), h["values"]) for h in fields["effects"])
-    return Truth(fields["robot"], hidden, fields["nuisance"], fields["sees"], fields.get("cell", {}), fields.get("cameras", {}))
+    return Truth(**{name: fields[name] for name in Truth.__dataclass_fields__ if name in fields} | {"effects": hidden})
 
 
 def _gravity_scale(plant: Plant, model: mujoco.MjModel) -> np.ndarray:
