@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from edream.core.episode import Episode, Video
+from edream.ingest.causality import answering_early, warning
 from edream.ingest.video import encode_image
 
 GAP = 3.0  # a step this many times the median one is a gap
@@ -34,6 +35,7 @@ class Findings:
         units: sentences about values that are hardly in SI units.
         shift: joint -> time by which the measurement follows the command [s], for joints that move.
         skew: joint -> shift less the median over joints [s].
+        early: joints whose measurement answers a command in its own row.
         unsigned_effort: efforts are recorded as magnitudes.
         torque_off: time without torque [s].
         unmapped: channels that the robot has no joint for.
@@ -52,6 +54,7 @@ class Findings:
     units: tuple[str, ...] = ()
     shift: Mapping[str, float] = field(default_factory=dict)
     skew: Mapping[str, float] = field(default_factory=dict)
+    early: tuple[str, ...] = ()
     unsigned_effort: bool = False
     torque_off: float = 0.0
     unmapped: tuple[str, ...] = ()
@@ -78,6 +81,8 @@ class Findings:
                 + _listed(self.shift, 1e3, "{:.0f}", "ms")
                 + " (motor, controller and delay together)."
             )
+        if self.early:
+            said.append(warning(self.early))
         if self.unsigned_effort:
             said.append("Efforts are never negative although the joints move both ways: magnitudes only.")
         if self.torque_off > 0:
@@ -123,6 +128,7 @@ def find(episode: Episode, ranges: Mapping[str, tuple[float, float]] | None = No
         units=_unit_mistakes(episode, ranges or {}),
         shift=shift,
         skew={joint: value - typical for joint, value in shift.items()},
+        early=answering_early([episode]),
         unsigned_effort=_unsigned(episode),
         torque_off=_torque_off(episode),
         unmapped=tuple(part for part in episode.notes.get("unmapped_channels", "").split(", ") if part),

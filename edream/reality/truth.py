@@ -200,9 +200,10 @@ def unseal(path: Path) -> Truth:
         ) from error
     if not intact:
         raise EdreamError(f"The sealed truth {path} was altered: its digest does not match its content.")
-    fields = json.loads(plain)
+    fields: dict[str, Any] = json.loads(plain)
     hidden = tuple(Hidden(h["name"], tuple(h["targets"]), h["values"]) for h in fields["effects"])
-    return Truth(**{name: fields[name] for name in Truth.__dataclass_fields__ if name in fields} | {"effects": hidden})
+    fields["effects"] = hidden
+    return Truth(**fields)
 
 
 def _gravity_scale(plant: Plant, model: mujoco.MjModel) -> np.ndarray:

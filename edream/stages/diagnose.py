@@ -13,6 +13,7 @@ from edream.diagnosis.next_motion import Motion, suggest
 from edream.diagnosis.problem import Settings, prepare
 from edream.diagnosis.set_up import how_to_record
 from edream.diagnosis.verdict import Diagnosis, diagnose
+from edream.ingest.causality import beware
 from edream.ingest.episode_file import write_commands
 from edream.ingest.stored import stored_episodes
 from edream.sim.emit import emit
@@ -77,7 +78,8 @@ def run(inputs: Mapping[str, Artifact], config: DiagnoseConfig, work: Work) -> B
     if doubted:
         motion = suggest(found.problem, [fit for _, fit in found.contenders], work.rng)
         bundle |= motion_files(motion, work) if motion is not None else {}
-    told = summary(found, bundle, advice(found, bundle) if doubted else "")
+    more = advice(found, bundle) if doubted else ""
+    told = summary(found, bundle, more + beware(episodes))
     return bundle | {"summary.json": told | ({"grips": grip.joints} if grip.joints else {})}
 
 
@@ -149,4 +151,4 @@ def summary(found: Diagnosis, bundle: Mapping[str, Any], more: str) -> dict[str,
     }
 
 
-ENTRY = Stage("diagnose", 140, ("ingest",), DiagnoseConfig, run, sources, ("mujoco", "numpy", "scipy"))
+ENTRY = Stage("diagnose", 141, ("ingest",), DiagnoseConfig, run, sources, ("mujoco", "numpy", "scipy"))

@@ -24,6 +24,7 @@ from edream.calibration.worth import Worth, worth_of
 from edream.core.episode import Episode
 from edream.core.errors import require
 from edream.core.stage import Artifact, Bundle, Source, Stage, Work
+from edream.ingest.causality import beware
 from edream.ingest.stored import stored_episodes
 from edream.sim.differences import jacobian
 from edream.sim.emit import emit
@@ -229,7 +230,7 @@ def _summary(
     was = f"unstable on {blown} of {len(rows)} motions" if blown else f"off by {before:.4f} rad"
     swept = inputs["sweep"]["summary.json"]["simulations"] if "sweep" in inputs else 0
     return {
-        "sentence": f"Your simulator was {was}; it is now off by {judge['joint_rmse_rad']:.4f} rad {on}.",
+        "sentence": f"Your simulator was {was}; it is now off by {judge['joint_rmse_rad']:.4f} rad {on}.{beware([*train, *held])}",
         "model": MODEL,
         "method": settings.method,
         "converged": result["converged"],
@@ -260,5 +261,5 @@ def sources(config: FitConfig) -> Mapping[str, Source]:
 
 
 ENTRY = Stage(
-    name="fit", version=33, needs=needs, config=FitConfig, run=run, sources=sources, numerics=("mujoco", "scipy", "cma", "torch")
+    name="fit", version=34, needs=needs, config=FitConfig, run=run, sources=sources, numerics=("mujoco", "scipy", "cma", "torch")
 )

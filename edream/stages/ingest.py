@@ -160,4 +160,4 @@ def _bundle(shards: Iterable[Artifact], joints: tuple[str, ...], noticed: tuple[
     return bundle
 
 
-ENTRY = Stage(name="ingest", version=3, needs=(), config=IngestConfig, run=run, sources=sources)
+ENTRY = Stage(name="ingest", version=4, needs=(), config=IngestConfig, run=run, sources=sources)
