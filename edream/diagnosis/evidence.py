@@ -118,9 +118,10 @@ def _errors(found: Diagnosis) -> dict[str, Any]:
 def _nuisance(found: Diagnosis) -> list[dict[str, Any]]:
     """Every usual number, its unit, and what it is published as, before and after."""
     before, after = _numbers(found.before), _numbers(found.after)
+    usual = [one for one in found.after.objective.simulated.placements if one.effect.name in found.problem.settings.nuisance]
     published = {
         p.name: p
-        for place in found.rounds[0].before.objective.simulated.placements
+        for place in (*found.rounds[0].before.objective.simulated.placements, *usual)
         for p in replace(place, bounds=None, fixed=None).parameters(found.problem.robot.model)
     }
     return [usual_number(parameter, before.get(name), after.get(name)) for name, parameter in published.items()]

@@ -10,6 +10,7 @@ import edream
 from edream import catalog
 from edream.core.effect import Effect
 from edream.diagnosis.creep import creeping, outdoes
+from edream.diagnosis.evidence import evidence
 from edream.diagnosis.left_out import leaves_no_gap
 from edream.diagnosis.nuisance import fit_nuisance
 from edream.diagnosis.problem import Settings, prepare
@@ -65,9 +66,12 @@ def test_a_robot_with_smooth_friction_lacks_nothing_and_its_joints_creep_as_fast
     assert "does not hold a stuck joint, which creeps" in found.sentence
     assert found.problem.creep in FORMS
     assert leaves_no_gap(found.problem, found.after)
+    rows = {row["name"]: row for row in evidence(found)["nuisance.json"]}
     numbers = found.after.space.mapping(found.after.values)
     for joint in HEAD.joints:
         assert 0.005 < numbers[f"coulomb.creep[{joint}]"] < 0.025
+        assert rows[f"coulomb.creep[{joint}]"]["published"] == 0.0
+        assert rows[f"coulomb.creep[{joint}]"]["after"]["value"] == numbers[f"coulomb.creep[{joint}]"]
 
 
 def test_friction_that_holds_is_not_taken_for_one_that_creeps() -> None:
