@@ -146,7 +146,7 @@ def _diagnosed(monkeypatch: pytest.MonkeyPatch, strange: verdict.Named, told: di
     for name, value in (always | told).items():
         monkeypatch.setattr(verdict, name, value)
     robot = SimpleNamespace(joints=("pan", "tilt"))
-    return verdict.diagnose(SimpleNamespace(floor=1e-3, robot=robot, settings=SimpleNamespace(seed=0)))
+    return verdict.diagnose(SimpleNamespace(floor=1e-3, robot=robot, creep=None, settings=SimpleNamespace(seed=0)))
 
 
 @pytest.mark.parametrize(
@@ -287,7 +287,7 @@ def _rounds(monkeypatch: pytest.MonkeyPatch, left: list[float], joint_errors: li
         monkeypatch.setattr(forward, name, stand_in)
     monkeypatch.setattr(left_out, "gained_on", lambda problem, joints, before, after: 0.0)
     monkeypatch.setattr(left_out, "joint_errors", lambda problem, fit: np.array(joint_errors))
-    problem = SimpleNamespace(floor=1.0, joints=("tilt", "pan"), settings=SimpleNamespace(most=4))
+    problem = SimpleNamespace(floor=1.0, joints=("tilt", "pan"), settings=SimpleNamespace(most=4, nuisance=()))
     return forward.forward(problem, SimpleNamespace(rms=9.0))[2]
 
 
