@@ -19,7 +19,7 @@ def friction(model: mujoco.MjModel, targets: Sequence[str]) -> Parameter:
     return Parameter("torque", "N m", 0.0, high, float(np.clip(nominal, 0.0, high)), absent=0.0)
 
 
-class Creeping(Effect):
+class CreepingCoulomb(Effect):
     """The same as `Coulomb`, but smooth at standstill: it grows with speed until it is whole, so that a stuck joint creeps.
 
         tau = -F clip(qd / vc, -1, 1)
@@ -62,7 +62,7 @@ class Coulomb(Effect):
     summary = "dry friction"
     place = "joint"
     confusable = ("dead_zone", "backlash", "load_friction")
-    softer = (Creeping(0.1), Creeping(0.9))
+    softer = (CreepingCoulomb(0.1), CreepingCoulomb(0.9))
 
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
         return (friction(model, targets),)

@@ -151,16 +151,14 @@ class _Machine:
             for limit in (upper, lower):
                 limit[:, self.motor[self.soft]] -= bearing
                 limit[:, self.soft] += bearing
-        rub = np.zeros_like(y)
+        rub = slope = np.zeros_like(y)
         if plant.smooth:
             rub, slope = _smooth(u, upper, lower, plant.smooth)
-            matrix[:, self.diagonal, self.diagonal] += slope
-            force -= rub / h
             upper = lower = np.zeros_like(y)
-        goal = (matrix @ u[..., None])[..., 0] + h * force
+        matrix[:, self.diagonal, self.diagonal] += slope
+        goal = (matrix @ u[..., None])[..., 0] + h * force - rub
         after, side, impulse = slide(matrix, goal, upper, lower, side)
-        if plant.smooth:
-            impulse = rub + slope * (after - u)
+        impulse = impulse + rub + slope * (after - u)
         load = motor_force - (impulse[:, self.motor] + (plant.armature + implicit) * (after - u)[:, self.motor]) / h
         return after, side, load
 

@@ -201,6 +201,10 @@ def unseal(path: Path) -> Truth:
     if not intact:
         raise EdreamError(f"The sealed truth {path} was altered: its digest does not match its content.")
     fields: dict[str, Any] = json.loads(plain)
+    if unknown := sorted(fields.keys() - Truth.__dataclass_fields__.keys()):
+        raise EdreamError(
+            f"The sealed truth {path} holds {', '.join(unknown)}, which this edream does not know: a newer one wrote it."
+        )
     hidden = tuple(Hidden(h["name"], tuple(h["targets"]), h["values"]) for h in fields["effects"])
     fields["effects"] = hidden
     return Truth(**fields)

@@ -1,4 +1,4 @@
-"""Dry friction that holds: MuJoCo's default lets a stuck joint creep."""
+"""Dry friction that holds, which MuJoCo's default does not, or that lets a stuck joint creep as fast as it is told to."""
 
 import mujoco
 import numpy as np

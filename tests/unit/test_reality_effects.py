@@ -2,7 +2,7 @@
 
 import ast
 import json
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import mujoco
@@ -105,6 +105,20 @@ def test_pairs_act_together() -> None:
     single = Truth(pair.robot, pair.effects[:1], pair.nuisance)
     assert [h.name for h in pair.effects] == ["payload", "actuator_delay"]
     assert not (positions(pair) == positions(single)).all()
+
+
+@dataclass(frozen=True)
+class Newer(Truth):
+    """A truth of times to come."""
+
+    warmth: float = 1.0
+
+
+def test_a_sealed_truth_of_a_newer_edream_is_refused_in_words(tmp_path: Path) -> None:
+    path = tmp_path / "data.truth.json"
+    seal(Newer("pan_tilt"), path)
+    with pytest.raises(EdreamError, match=r"data\.truth\.json holds warmth, which this edream does not know"):
+        unseal(path)
 
 
 def test_a_sealed_truth_opens_again_hides_its_words_and_tells_if_it_was_altered(tmp_path: Path) -> None:
