@@ -25,6 +25,7 @@ from edream.diagnosis.problem import Problem
 from edream.diagnosis.screen import Projection, extend
 from edream.diagnosis.starts import fresh_columns, with_column
 from edream.diagnosis.steps import with_long_steps
+from edream.diagnosis.swings import frequencies_in_step
 from edream.sim.scales import torque_scale
 from edream.sim.simulation import Placement
 
@@ -52,6 +53,7 @@ FEATURES = (
     "direction_time",
 )
 BUMPED = ("bump", "direction_bump", "speed_bump", "motor_bump")
+WAVES = ("sine", "cosine")
 RECENT = (0.5, 2.0, 10.0)  # s, over which a joint's speed may be remembered: what warms up, or settles
 
 
@@ -87,6 +89,9 @@ def residual_torque(state: State, index: dict[str, int], values: Mapping[str, An
             shape = np.exp(-0.5 * ((q - values["centre_" + rest]) / values["width_" + rest]) ** 2)
             what = {"bump": 1.0, "direction_bump": direction, "speed_bump": v, "motor_bump": motor}[kind]
             torque = torque + coefficient * shape * what
+        elif kind in ("sine", "cosine"):
+            phase = 2.0 * np.pi * values["frequency_" + rest] * state.time
+            torque = torque + coefficient * (np.sin(phase) if kind == "sine" else np.cos(phase))
         elif kind in ("direction_recent", "speed_recent"):
             lately = state.recent(index["dof"], float(rest))
             torque = torque + coefficient * lately * (direction if kind == "direction_recent" else v)
@@ -113,13 +118,17 @@ class ResidualTorque(Effect):
         self.terms, self.scales, self.shape = tuple(terms), tuple(scales), dict(shape)
 
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
-        """One coefficient a term, in units that give a torque, and the fixed shape of the bumps."""
+        """One coefficient a term, in units that give a torque, and the fixed shape of bumps [rad] and waves [Hz]."""
         torque = torque_scale(model, targets[0])
         terms = [
             Parameter(name, "N m per term", -3.0 * torque / s, 3.0 * torque / s, 0.0, absent=0.0, spread=torque / s)
             for name, s in zip(self.terms, self.scales, strict=True)
         ]
-        return (*terms, *(Parameter(name, "rad", value - 1.0, value + 1.0, value) for name, value in self.shape.items()))
+        shape = [
+            Parameter(name, "Hz" if name.startswith("frequency") else "rad", value - 1.0, value + 1.0, value)
+            for name, value in self.shape.items()
+        ]
+        return (*terms, *shape)
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,7 +184,7 @@ def _found(problem: Problem, fit: Fit) -> Remainder | None:
 def _longer(problem: Problem, fit: Fit, joint: str, found: Remainder | None) -> tuple[Fit, Placement] | None:
     """The fit with further terms beside those found, refitted, and all of them as what it has more; None where none helps."""
     base, old = (fit, []) if found is None else (found.fit, list(_torque(found.placement).terms))
-    shape, names = _candidates(problem, joint)
+    shape, names = _candidates(problem, fit, joint)
     candidates = [name for name in names if name not in old]
     scales = _scales(problem, joint, candidates)
     looked = with_long_steps(problem, thinned(base, ENOUGH))
@@ -188,7 +197,7 @@ def _longer(problem: Problem, fit: Fit, joint: str, found: Remainder | None) -> 
     if not chosen:
         return None
     terms = [*old, *(candidates[i] for i in chosen)]
-    places = {n.partition("_at_")[2] for n in terms if n.partition("_at_")[0] in BUMPED}
+    places = {n.partition("_at_")[2] for n in terms if n.partition("_at_")[0] in (*BUMPED, *WAVES)}
     used = {key: value for key, value in shape.items() if key.partition("_")[2] in places}
     small = Placement(ResidualTorque(terms, _scales(problem, joint, terms), used), (joint,), fixed=used)
     begun, zero = extend(fit, [small])
@@ -201,8 +210,8 @@ def _torque(placement: Placement) -> ResidualTorque:
     return placement.effect
 
 
-def _candidates(problem: Problem, joint: str) -> tuple[dict[str, float], list[str]]:
-    """Centres and widths of bumps over the visited range of the joint [rad], and the names of all terms."""
+def _candidates(problem: Problem, fit: Fit, joint: str) -> tuple[dict[str, float], list[str]]:
+    """Centres and widths of bumps over the visited range of the joint [rad], frequencies of waves [Hz], and all terms' names."""
     column = problem.fitted[0].episode.joints.index(joint)
     visited = np.concatenate([w.measured[:, column] for w in problem.fitted])
     low, high = np.percentile(visited, [1, 99])
@@ -212,10 +221,13 @@ def _candidates(problem: Problem, joint: str) -> tuple[dict[str, float], list[st
         for centre in np.linspace(low, high, count):
             number = len(shape) // 2
             shape |= {f"centre_{number}": float(centre), f"width_{number}": width}
+    waves = {f"wave{i}": frequency for i, frequency in enumerate(frequencies_in_step(problem, fit, joint))}
+    shape |= {f"frequency_{name}": frequency for name, frequency in waves.items()}
     model = problem.robot.model
     others = [int(model.jnt_dofadr[model.joint(name).id]) for name in problem.joints if name != joint]
     names = list(FEATURES)
     names += [f"{kind}_at_{i}" for kind in BUMPED for i in range(NARROW + WIDE)]
+    names += [f"{kind}_at_{wave}" for kind in WAVES for wave in waves]
     crossed = ("other_angle", "direction_other", "other_speed", "speed_product", "speed_other")
     names += [f"{kind}_at_{dof}" for kind in crossed for dof in others]
     names += [f"{kind}_at_{seconds:g}" for kind in ("direction_recent", "speed_recent") for seconds in RECENT]
@@ -302,6 +314,8 @@ def _words(quantity: str, shape: Mapping[str, float]) -> str:
         bump = f"bump(q at {shape['centre_' + rest]:.2f} rad, width {shape['width_' + rest]:.2f})"
         before = {"direction_bump": "sign(v) ", "speed_bump": "v ", "motor_bump": "motor "}.get(kind, "")
         return f"{before}{bump}"
+    if kind in WAVES:
+        return f"{'sin' if kind == 'sine' else 'cos'}(2 pi {shape['frequency_' + rest]:.3g} Hz t)"
     if kind.endswith("recent"):
         lately = f"mean |v| of the last {rest} s"
         return f"sign(v) {lately}" if kind == "direction_recent" else f"v {lately}"

@@ -37,7 +37,7 @@ from edream.diagnosis.remainder import Remainder, find_remainder
 from edream.diagnosis.steps import for_a_plain_loop, in_a_plain_loop
 from edream.diagnosis.suspects import Suspect, find_suspects, most_ordinary, what_stays, with_ordinary_numbers
 from edream.diagnosis.trials import Trial, is_another, judged, predicted
-from edream.diagnosis.wording import Verdict, on_creep, on_steps, sentence
+from edream.diagnosis.wording import Verdict, on_creep, on_steps, sentence, where_it_shows
 from edream.sim.objective import rms
 from edream.sim.robot import RobotModel
 
@@ -154,7 +154,8 @@ def diagnose(problem: Problem, done: Callable[[str, int], object] = lambda text,
     if verdict == "none":
         said = agreement(problem, after**2)
     else:
-        said = sentence(verdict, effects, remainder, problem.robot.joints) + still_off(problem, after**2)
+        shows = where_it_shows(problem, found.fit) if verdict == "unnamed" and remainder is None else ""
+        said = sentence(verdict, effects, remainder, problem.robot.joints, shows) + still_off(problem, after**2)
     return Diagnosis(
         problem=written,
         searched=problem.robot,

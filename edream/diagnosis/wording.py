@@ -3,21 +3,29 @@
 from collections.abc import Sequence
 from typing import Literal
 
+from edream.diagnosis.descent import Fit
+from edream.diagnosis.left_out import worst_joint
 from edream.diagnosis.naming import Named
 from edream.diagnosis.problem import Problem
 from edream.diagnosis.remainder import Remainder
+from edream.diagnosis.swings import main_swing
 
 Verdict = Literal["named", "none", "cannot_tell", "unnamed"]
 
 
-def sentence(verdict: Verdict, effects: Sequence[Named], remainder: Remainder | None, joints: Sequence[str]) -> str:
-    """What was found in words that a roboticist uses; `joints` are all that the robot has. `agreement` says that nothing was."""
+def sentence(
+    verdict: Verdict, effects: Sequence[Named], remainder: Remainder | None, joints: Sequence[str], shows: str = ""
+) -> str:
+    """What was found in words that a roboticist uses. `agreement` says that nothing was.
+
+    `joints` are all that the robot has; `shows` says where a gap shows that neither a name nor a formula explains.
+    """
     places: dict[str, list[str]] = {}
     for one in effects:
         places.setdefault(one.summary, []).extend(one.targets)
     parts = [summary + _on(targets, joints) for summary, targets in places.items()]
     if verdict == "unnamed":
-        nothing = " No formula for it holds on motions left out, either; recordings of more such motions may settle it."
+        nothing = f"{shows} No formula for it holds on motions left out, either; recordings of more such motions may settle it."
         what = f" It behaves like {remainder.formula} on {remainder.joint}." if remainder else nothing
         beside = f"Your simulator lacks {_and(parts)}, and something else" if parts else "Something real is missing"
         return f"{beside} that no effect in the library explains.{what}"
@@ -41,6 +49,14 @@ def on_steps(problem: Problem, written: Problem) -> str:
 def on_creep(problem: Problem) -> str:
     """What to say where dry friction does not hold; nothing otherwise."""
     return " Its dry friction does not hold a stuck joint, which creeps; so it does in model.xml." if problem.creep else ""
+
+
+def where_it_shows(problem: Problem, fit: Fit) -> str:
+    """Where what a model leaves shows most, and whether it swings there in time, as a sentence for the end of another one."""
+    joint = worst_joint(problem, fit)
+    swing = main_swing(problem, fit, joint)
+    swings = f", where it swings at {swing.frequency:.3g} Hz whatever the commands are" if swing else ""
+    return f" It shows most on {joint}{swings}."
 
 
 def _on(targets: Sequence[str], joints: Sequence[str]) -> str:

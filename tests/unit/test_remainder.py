@@ -12,10 +12,13 @@ import pytest
 from benchmarks.blind.cases import robot_of
 from edream.core.episode import Episode
 from edream.diagnosis import remainder, verdict
+from edream.diagnosis.descent import Fit
 from edream.diagnosis.left_out import left_out_errors
-from edream.diagnosis.nuisance import fit_nuisance
+from edream.diagnosis.nuisance import fit_nuisance, published
 from edream.diagnosis.problem import Settings, prepare
 from edream.diagnosis.remainder import find_remainder
+from edream.diagnosis.swings import frequencies_in_step, main_swing
+from edream.diagnosis.wording import where_it_shows
 from edream.sim.robot import RobotModel
 
 TIMES = np.arange(0.0, 8.0, 0.02)
@@ -89,6 +92,44 @@ def test_a_servo_that_is_weak_at_one_place_is_described_by_its_torque_there() ->
     assert found is not None and found.real and found.joint == "tilt"
     assert "motor bump(q at " in found.formula
     assert found.errors.mean() < 0.1 * left_out_errors(problem, fit).mean(), "a third of the error, on motions left out"
+
+
+def hummed(robot: RobotModel, seed: int, phase: float, hum: float = 0.08) -> Episode:
+    """A tilt joint that something pushes and pulls 1.3 times a second [N m], whatever it is told."""
+    rng = np.random.default_rng(seed)
+    steps = rng.uniform(-0.5, 0.5, (9, 2)).repeat(50, axis=0)[: len(TIMES)]
+    return played(robot, rng, steps, lambda data, step: hum * float(np.sin(2.0 * np.pi * 1.3 * data.time + phase)))
+
+
+def test_what_hums_in_step_with_the_recording_is_a_sine_in_time_and_what_has_its_own_phase_is_told_of() -> None:
+    robot = robot_of("pan_tilt")
+    assert robot is not None
+    problem = prepare(robot, [hummed(robot, seed, 0.5) for seed in range(6)], Settings())
+    fit = fit_nuisance(problem)
+    found = find_remainder(problem, fit)
+    assert found is not None and found.real and found.joint == "tilt"
+    frequencies = {float(f) for f in re.findall(r"(?:sin|cos)\(2 pi ([\d.]+) Hz t\)", found.formula)}
+    assert frequencies and all(f == pytest.approx(1.3, abs=0.02) for f in frequencies), found.formula
+    assert found.errors.mean() < 0.2 * left_out_errors(problem, fit).mean(), "a fifth of the squared error, on motions left out"
+
+    problem = prepare(robot, [hummed(robot, seed, 2.4 * seed) for seed in range(6)], Settings())
+    fit = fit_nuisance(problem)
+    assert "swings at 1.3 Hz whatever the commands are" in where_it_shows(problem, fit)
+    swing = main_swing(problem, fit, "tilt")
+    assert swing is not None and swing.frequency == pytest.approx(1.3, abs=0.02) and 0.5 < swing.share <= 1.0
+
+
+def test_no_swing_is_told_of_where_the_commands_swing_or_nothing_does() -> None:
+    robot = robot_of("pan_tilt")
+    assert robot is not None
+    told = 0.5 * np.sin(2.0 * np.pi * 1.3 * TIMES)[:, None] * [1.0, 0.6]
+    rng = np.random.default_rng(3)
+    swung = [played(robot, rng, told, lambda data, step: -0.1 * float(data.qpos[1])) for _ in range(4)]
+    problem = prepare(robot, swung, Settings())
+    start = Fit(published(problem), np.zeros(0), published(problem).residuals(np.zeros((1, 0)))[0], np.zeros((0, 0)), 1.0)
+    assert main_swing(problem, start, "tilt") is None and frequencies_in_step(problem, start, "tilt") == []
+    problem = prepare(robot, [hummed(robot, seed, 0.5, hum=0.0) for seed in range(6)], Settings())
+    assert where_it_shows(problem, fit_nuisance(problem)) in (" It shows most on pan.", " It shows most on tilt.")
 
 
 @pytest.mark.parametrize(("alone", "told"), [(1.05, False), (1.5, True)])
