@@ -42,7 +42,7 @@ def backward(problem: Problem, fit: Fit, named: Sequence[Candidate], first: Floa
 
 
 def still_standing(problem: Problem, fit: Fit, kept: Sequence[Candidate]) -> tuple[Fit, list[Candidate]]:
-    """What stayed once others went out, without those that were taken beside them and whose intervals hold their absence since."""
+    """What stayed, without the names whose intervals hold their absence since others came beside them or went out."""
     left = list(kept)
     for candidate in reversed(kept):
         fit = fit if fit.ended or len(left) < 2 else polish(fit)  # where intervals are true

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from edream.catalog import load
 from edream.core.effect import Effect
 from edream.diagnosis.another_way import by_another_way
-from edream.diagnosis.backward import backward, refitted_without, still_standing
+from edream.diagnosis.backward import backward, refitted_without, stands, still_standing
 from edream.diagnosis.candidates import Candidate, placement, standing
 from edream.diagnosis.decide import Round
 from edream.diagnosis.descent import Fit, polish
@@ -179,7 +179,8 @@ def what_stands(problem: Problem, before: Fit, fit: Fit, rounds: Sequence[Round]
     taken = [one.taken for one in rounds if one.taken is not None]
     first = rounds[0].errors
     fit, kept = backward(problem, fit, [t.candidate for t in taken], first)
-    fit, kept = still_standing(problem, fit, kept) if len(kept) < len(taken) else (fit, kept)
+    if len(kept) < len(taken) or not all(stands(problem, one, fit) for one in kept):
+        fit, kept = still_standing(problem, fit, kept)
     fit = with_plain(problem, fit, kept)
     trials, heard = left_alone(problem, fit, rounds, [t for t in taken if t.candidate in kept])
     if not trials:

@@ -88,3 +88,20 @@ def test_a_fit_leaves_a_valley_that_candidates_show_to_be_false(
     monkeypatch.setattr(steps, "descend", lambda fit, fresh, most: SimpleNamespace(rms=end, begun=fit))
     found = steps.nearer_without(SimpleNamespace(rms=1.0), trials)  # type: ignore[arg-type]
     assert found == (SimpleNamespace(rms=end, begun=bare[1]) if moves else None)
+
+
+@pytest.mark.parametrize("standing", [True, False])
+def test_a_name_whose_interval_holds_none_beside_a_later_one_goes_out(monkeypatch: pytest.MonkeyPatch, standing: bool) -> None:
+    """Friction by place of -0.06 to 3 N m had been named of a wrist whose dry friction it stood in for, beside what was hidden."""
+    taken = [Trial(one, 0.1, SimpleNamespace(), np.zeros(4), 0.8, True) for one in (PAYLOAD, FRICTION)]
+    rounds = [Round(SimpleNamespace(), np.ones(4), [], [one], one) for one in taken]
+    monkeypatch.setattr(verdict, "backward", lambda problem, fit, named, first: ("both", list(named)))
+    monkeypatch.setattr(verdict, "stands", lambda problem, candidate, fit: standing or candidate != PAYLOAD)
+    monkeypatch.setattr(verdict, "still_standing", lambda problem, fit, kept: ("friction alone", [FRICTION]))
+    monkeypatch.setattr(verdict, "with_plain", lambda problem, fit, kept: fit)
+    monkeypatch.setattr(verdict, "left_alone", lambda problem, fit, rounds, trials: (trials, rounds))
+    monkeypatch.setattr(verdict, "predicted", lambda problem, fit, last: np.full(4, 0.5))
+    monkeypatch.setattr(verdict, "falls_short", lambda problem, first, left: False)
+    found = verdict.what_stands(SimpleNamespace(), "before", "ended", rounds)  # type: ignore[arg-type]
+    assert found.fit == ("both" if standing else "friction alone")
+    assert [one.candidate for one in found.trials] == ([PAYLOAD, FRICTION] if standing else [FRICTION])

@@ -142,6 +142,8 @@ def _diagnosed(monkeypatch: pytest.MonkeyPatch, strange: verdict.Named, told: di
         "for_a_plain_loop": lambda problem, fit: (problem, fit),
         "as_written": lambda one, found, written: one,
         "on_steps": lambda problem, written: "",
+        "stands": lambda problem, candidate, fit: True,
+        "where_it_shows": lambda problem, fit: "",
     }
     for name, value in (always | told).items():
         monkeypatch.setattr(verdict, name, value)
