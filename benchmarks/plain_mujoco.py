@@ -1,0 +1,148 @@
+"""Recordings of any published arm as an outsider makes them: plain MuJoCo, its own soft dry friction, one thing hidden.
+
+python -m benchmarks.plain_mujoco MODEL.xml OUT [--hide load:joint_2:0.15] [--seed 2] [--friction 2.5] [--armature 0.15]
+
+Gains, dampings, frictions and rotors are 25 % below to 30 % above what the model says, or what `--friction` [N m] and `--armature`
+[kg m^2] say of the strongest servo where it has none; 0.2 mrad of noise. OUT gets `data`, one CSV a motion, and `truth.txt`. Then:
+edream diagnose robot.mjcf=MODEL.xml data=OUT/data
+"""
+
+import argparse
+import csv
+from collections.abc import Callable
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+STEP, PERIOD, SECONDS, SETTLING = 0.0005, 0.02, 10.0, 4000  # s, s, s, steps
+NOISE = 2e-4  # rad
+Law = Callable[[mujoco.MjData, int, int], float]  # the torque [N m] on a joint, by its places among positions and speeds
+
+
+def sign(speed: float) -> float:
+    return float(np.tanh(speed / 0.004))
+
+
+EFFECTS: dict[str, Callable[..., Law]] = {
+    "load": lambda share: lambda d, q, v: -share * abs(d.qfrc_actuator[v]) * sign(d.qvel[v]),
+    "stribeck": lambda top, speed: lambda d, q, v: -top * np.exp(-((d.qvel[v] / speed) ** 2)) * sign(d.qvel[v]),
+    "spring": lambda stiffness, rest: lambda d, q, v: -stiffness * (d.qpos[q] - rest),
+    "drag": lambda size: lambda d, q, v: -size * d.qvel[v] * abs(d.qvel[v]),
+    "cogging": lambda size, count: lambda d, q, v: size * np.sin(count * d.qpos[q] + 0.7),
+    "wind": lambda size, hertz: lambda d, q, v: size * np.sin(6.2832 * hertz * d.time),
+}
+
+
+def changed(model: mujoco.MjModel, rng: np.random.Generator, friction: float, armature: float) -> list[str]:
+    """Change the usual numbers of every servo and its joint; says what is true now."""
+    strength, told = model.actuator_gainprm[:, 0] / model.actuator_gainprm[:, 0].max(), []
+    for a in range(model.nu):
+        joint = model.joint(model.actuator_trnid[a, 0])
+        v, share = joint.dofadr[0], max(strength[a], 0.2)
+        model.dof_damping[v] *= rng.uniform(0.75, 1.3)
+        for numbers, added in ((model.dof_frictionloss, friction), (model.dof_armature, armature)):
+            numbers[v] = (numbers[v] or added * share) * rng.uniform(0.75, 1.3)
+        gain, damping = rng.uniform(0.75, 1.3), rng.uniform(0.75, 1.3)
+        model.actuator_gainprm[a, 0] *= gain
+        model.actuator_biasprm[a, 1] *= gain
+        model.actuator_biasprm[a, 2] *= damping
+        numbers = (model.actuator_gainprm[a, 0], -model.actuator_biasprm[a, 2], model.dof_damping[v])
+        words = zip(
+            ("kp", "kv", "damping", "friction", "armature"),
+            (*numbers, model.dof_frictionloss[v], model.dof_armature[v]),
+            strict=True,
+        )
+        told.append(joint.name + "".join(f" {word} {value:.6g}" for word, value in words))
+    return told
+
+
+def commands(rng: np.random.Generator, home: np.ndarray, reach: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Times [s], (T,), and commands [rad], (T, J), of one of three kinds: swings, straight lines, steps with a ramp."""
+    rows = int(SECONDS / PERIOD)
+    t, u, kind = np.arange(rows) * PERIOD, np.zeros((rows, len(home))), rng.integers(3)
+    for j in range(len(home)):
+        if kind == 0:
+            x = sum(rng.uniform(0.2, 1) * np.sin(6.2832 * f * t + rng.uniform(0, 6)) for f in rng.uniform(0.05, 0.6, 3)) / 2
+        elif kind == 1:
+            knots = rng.uniform(-1, 1, int(SECONDS / 1.2) + 3)
+            x = np.interp(t, np.arange(len(knots)) * 1.2, knots)
+        else:
+            levels = rng.uniform(-1, 1, int(SECONDS / 2) + 2)[(t // 2).astype(int)]
+            x = levels.copy()
+            for i in range(1, rows):
+                x[i] = x[i - 1] + np.clip(levels[i] - x[i - 1], -0.03, 0.03)
+        u[:, j] = home[j] + reach[j] * np.clip(x, -1, 1) * np.minimum(1, t)
+    return t, u
+
+
+def hidden(model: mujoco.MjModel, told: str) -> Callable[[mujoco.MjData], None]:
+    """What puts a hidden torque on its joint before each step, of EFFECT:JOINT:NUMBERS; ValueError where there is no such one."""
+    effect, name, *numbers = told.split(":")
+    if effect not in EFFECTS:
+        raise ValueError(f"--hide {told}: no effect {effect!r}; there are {', '.join(EFFECTS)}")
+    joint, law = model.joint(name), EFFECTS[effect](*map(float, numbers))
+    q, v = joint.qposadr[0], joint.dofadr[0]
+
+    def push(data: mujoco.MjData) -> None:
+        data.qfrc_applied[v] = law(data, q, v)
+
+    return push
+
+
+def room(model: mujoco.MjModel, joints: list, places: list[int]) -> tuple[np.ndarray, np.ndarray]:
+    """Where motions begin, inside the joints' ranges, and how far they go from there [rad], (J,) each."""
+    low, high = np.array([one.range if model.jnt_limited[one.id] else (-3, 3) for one in joints]).T
+    home = model.key_qpos[0][places] if model.nkey else np.zeros(model.nu)
+    home = np.clip(home, low + 0.15 * (high - low), high - 0.15 * (high - low))
+    return home, np.minimum(0.9, 0.85 * np.minimum(home - low, high - home))
+
+
+def played(
+    model: mujoco.MjModel, places: list[int], u: np.ndarray, rng: np.random.Generator, push: Callable[[mujoco.MjData], None]
+) -> np.ndarray:
+    """Measured angles [rad] just before each command is given, (T, J)."""
+    data, rows = mujoco.MjData(model), []
+    data.qpos[places], data.ctrl[:] = u[0], u[0]
+    for _ in range(SETTLING):
+        mujoco.mj_step(model, data)
+    data.time = 0
+    for command in u:
+        rows.append(data.qpos[places] + NOISE * rng.normal(size=model.nu))
+        data.ctrl[:] = command
+        for _ in range(round(PERIOD / STEP)):
+            push(data)
+            mujoco.mj_step(model, data)
+    return np.array(rows)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("model", type=Path)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--hide", help=f"EFFECT:JOINT:NUMBERS, of {', '.join(EFFECTS)}")
+    for name, kind, default in (("seed", int, 1), ("motions", int, 12), ("friction", float, 0.0), ("armature", float, 0.0)):
+        parser.add_argument(f"--{name}", type=kind, default=default)
+    asked = parser.parse_args()
+    model = mujoco.MjModel.from_xml_path(str(asked.model))
+    model.opt.timestep = STEP
+    told = changed(model, np.random.default_rng(asked.seed), asked.friction, asked.armature)
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+    joints = [model.joint(model.actuator_trnid[a, 0]) for a in range(model.nu)]
+    places = [int(one.qposadr[0]) for one in joints]
+    push = hidden(model, asked.hide) if asked.hide else lambda data: None
+    home, reach = room(model, joints, places)
+    (asked.out / "data").mkdir(parents=True, exist_ok=True)
+    (asked.out / "truth.txt").write_text("\n".join([*told, f"hidden: {asked.hide}"]) + "\n")
+    for i in range(asked.motions):
+        rng = np.random.default_rng(asked.seed * 1000 + i)
+        t, u = commands(rng, home, reach)
+        rows = np.column_stack([t, u, played(model, places, u, rng, push)])
+        with (asked.out / "data" / f"motion_{i:02d}.csv").open("w", newline="") as file:
+            table = csv.writer(file)
+            table.writerow(["time", *(f"command_{one.name}" for one in joints), *(f"position_{one.name}" for one in joints)])
+            table.writerows([[f"{value:.9g}" for value in row] for row in rows])
+
+
+if __name__ == "__main__":
+    main()
