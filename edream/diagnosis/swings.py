@@ -36,18 +36,28 @@ class _Series:
     times: Sequence[Float[np.ndarray, "T"]]
     values: Sequence[Float[np.ndarray, "T"]]
 
-    def at(self, frequency: float) -> Complex[np.ndarray, "M"]:
-        """The Fourier sum of each motion."""
-        pairs = zip(self.times, self.values, strict=True)
-        return np.array([np.exp(-2j * np.pi * frequency * t) @ (v - v.mean()) for t, v in pairs])
+    @property
+    def power(self) -> float:
+        return max(sum(float(np.sum((v - v.mean()) ** 2)) for v in self.values), 1e-30)
 
-    def share(self, frequency: float, in_step: bool) -> float:
+    def spectra(self, step: float, length: int) -> Complex[np.ndarray, "M F"]:
+        """The Fourier sums of each motion at the frequencies of a transform of `length` even rows, a step [s] apart."""
+        rows = []
+        for t, v in zip(self.times, self.values, strict=True):
+            even = np.interp(np.arange(t[0], t[-1], step), t, v - v.mean())
+            rows.append(np.exp(-2j * np.pi * np.fft.rfftfreq(length, step) * t[0]) * np.fft.rfft(even, length))
+        return np.array(rows)
+
+    def at(self, frequency: float) -> Complex[np.ndarray, "M 1"]:
+        """The Fourier sums of each motion at one frequency [Hz]."""
+        pairs = zip(self.times, self.values, strict=True)
+        return np.array([[np.exp(-2j * np.pi * frequency * t) @ (v - v.mean())] for t, v in pairs])
+
+    def share(self, sums: Complex[np.ndarray, "M F"], in_step: bool) -> Float[np.ndarray, "F"]:
         """Share of the power that one sine explains: of one phase in all motions, or of a phase in each."""
         rows = np.array([len(t) for t in self.times])
-        power = sum(float(np.sum((v - v.mean()) ** 2)) for v in self.values)
-        sums = self.at(frequency)
-        explained = 2.0 * abs(sums.sum()) ** 2 / rows.sum() if in_step else float(np.sum(2.0 * abs(sums) ** 2 / rows))
-        return float(explained) / max(power, 1e-30)
+        explained = abs(sums.sum(axis=0)) ** 2 / rows.sum() if in_step else (abs(sums) ** 2 / rows[:, None]).sum(axis=0)
+        return 2.0 * explained / self.power
 
 
 def frequencies_in_step(problem: Problem, fit: Fit, joint: str) -> list[float]:
@@ -63,30 +73,32 @@ def main_swing(problem: Problem, fit: Fit, joint: str) -> Swing | None:
 
 def _peaks(problem: Problem, fit: Fit, joint: str, in_step: bool) -> list[Swing]:
     left, told = _left(problem, fit, joint), _told(fit)
-    longest = max(float(t[-1] - t[0]) for t in left.times)
-    apart = min(float(np.median(np.diff(t))) for t in left.times)
-    lowest, highest = max(LOWEST, TURNS / longest), min(HIGHEST, 0.4 / apart)
-    spacing = 1.0 / (FINE * longest)
-    grid = np.arange(lowest, highest, spacing)
-    if len(grid) < 3:
+    if not left.times:
         return []
-    shares = np.array([left.share(f, in_step) for f in grid])
-    tops = find_peaks(shares, distance=FINE)[0]
+    longest = max(float(t[-1] - t[0]) for t in left.times)
+    step = min(float(np.median(np.diff(t))) for t in left.times)
+    length = FINE * (round(longest / step) + 1)
+    frequencies = np.fft.rfftfreq(length, step)
+    shares = left.share(left.spectra(step, length), in_step)
+    inside = (frequencies > max(LOWEST, TURNS / longest)) & (frequencies < min(HIGHEST, 0.4 / step))
+    tops = [i for i in find_peaks(shares, distance=FINE)[0] if inside[i]]
     found = []
     for top in sorted(tops, key=lambda i: -shares[i])[:MOST]:
         before, here, after = shares[top - 1 : top + 2]
-        frequency = float(grid[top] + 0.5 * spacing * (before - after) / (before - 2.0 * here + after))
-        own = Swing(frequency, left.share(frequency, in_step))
-        if own.share > CLEARER * max(one.share(frequency, in_step) for one in told):
+        frequency = float(frequencies[top] + 0.5 * frequencies[1] * (before - after) / (before - 2.0 * here + after))
+        own = Swing(frequency, float(left.share(left.at(frequency), in_step)[0]))
+        if own.share > CLEARER * max(float(one.share(one.at(frequency), in_step)[0]) for one in told):
             found.append(own)
     return found
 
 
 def _left(problem: Problem, fit: Fit, joint: str) -> _Series:
-    """What a model leaves of a joint's angle [rad] in each fitted motion."""
+    """What a model leaves of a joint's angle [rad] in each fitted motion of more than two rows."""
     objective, column = fit.objective, problem.joints.index(joint)
     clocks = [w.episode.times[w.first : w.last + 1][1 :: objective.stride] - w.episode.times[0] for w in objective.windows]
-    return _Series(clocks, [part[:, column] for part in objective.per_window(fit.residual)])
+    parts = [part[:, column] for part in objective.per_window(fit.residual)]
+    long = [k for k, clock in enumerate(clocks) if len(clock) > 2]
+    return _Series([clocks[k] for k in long], [parts[k] for k in long])
 
 
 def _told(fit: Fit) -> list[_Series]:
