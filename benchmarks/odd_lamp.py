@@ -8,7 +8,6 @@ edream diagnose robot.mjcf=OUT/robot.xml data=OUT/data
 """
 
 import argparse
-import csv
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -16,6 +15,8 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
+
+from benchmarks.plain_mujoco import write_motion
 
 STEP, PERIOD, SECONDS, MOTIONS = 0.0005, 0.02, 10.0, 10  # s, s, s
 SETTLING = 4000  # steps before a recording
@@ -213,10 +214,7 @@ def main() -> None:
     for i in range(MOTIONS):
         rng = np.random.default_rng(zlib.crc32(asked.case.encode()) % 9999 * 100 + asked.seed * 1000 + i)
         rows = record(model, true, asked.case, rng)
-        with (asked.out / "data" / f"motion_{i:02d}.csv").open("w", newline="") as file:
-            table = csv.writer(file)
-            table.writerow(["time", *(f"command_{name}" for name in JOINTS), *(f"position_{name}" for name in JOINTS)])
-            table.writerows([[f"{value:.9g}" for value in row] for row in rows])
+        write_motion(asked.out / "data", i, JOINTS, rows)
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ edream diagnose robot.mjcf=MODEL.xml data=OUT/data
 
 import argparse
 import csv
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import mujoco
@@ -25,11 +25,17 @@ def sign(speed: float) -> float:
 
 
 EFFECTS: dict[str, Callable[..., Law]] = {
+    # numbers: share of the servo's torque
     "load": lambda share: lambda d, q, v: -share * abs(d.qfrc_actuator[v]) * sign(d.qvel[v]),
+    # torque [N m] above the dry friction at rest, speed [rad/s]
     "stribeck": lambda top, speed: lambda d, q, v: -top * np.exp(-((d.qvel[v] / speed) ** 2)) * sign(d.qvel[v]),
+    # stiffness [N m/rad], angle at rest [rad]
     "spring": lambda stiffness, rest: lambda d, q, v: -stiffness * (d.qpos[q] - rest),
+    # torque at 1 rad/s [N m s^2/rad^2]
     "drag": lambda size: lambda d, q, v: -size * d.qvel[v] * abs(d.qvel[v]),
+    # amplitude [N m], periods a turn
     "cogging": lambda size, count: lambda d, q, v: size * np.sin(count * d.qpos[q] + 0.7),
+    # amplitude [N m], frequency [Hz]
     "wind": lambda size, hertz: lambda d, q, v: size * np.sin(6.2832 * hertz * d.time),
 }
 
@@ -77,10 +83,13 @@ def commands(rng: np.random.Generator, home: np.ndarray, reach: np.ndarray) -> t
 
 
 def hidden(model: mujoco.MjModel, told: str) -> Callable[[mujoco.MjData], None]:
-    """What puts a hidden torque on its joint before each step, of EFFECT:JOINT:NUMBERS; ValueError where there is no such one."""
-    effect, name, *numbers = told.split(":")
-    if effect not in EFFECTS:
-        raise ValueError(f"--hide {told}: no effect {effect!r}; there are {', '.join(EFFECTS)}")
+    """What puts a hidden torque on its joint before each step; ValueError where `told` is no EFFECT:JOINT:NUMBERS of the model."""
+    effect, name, *numbers = told.split(":") if ":" in told else (told, "")
+    joints = [model.joint(i).name for i in range(model.njnt)]
+    if effect not in EFFECTS or name not in joints:
+        raise ValueError(f"expected EFFECT:JOINT:NUMBERS, of {', '.join(EFFECTS)} and of {', '.join(joints)}")
+    if len(numbers) != (count := EFFECTS[effect].__code__.co_argcount):
+        raise ValueError(f"{len(numbers)} numbers; {effect} takes {count}")
     joint, law = model.joint(name), EFFECTS[effect](*map(float, numbers))
     q, v = joint.qposadr[0], joint.dofadr[0]
 
@@ -116,6 +125,14 @@ def played(
     return np.array(rows)
 
 
+def write_motion(folder: Path, number: int, joints: Sequence[str], rows: np.ndarray) -> None:
+    """One motion as CSV: time [s], a command and a measured angle [rad] of each joint, (T, 1 + 2 J)."""
+    with (folder / f"motion_{number:02d}.csv").open("w", newline="") as file:
+        table = csv.writer(file)
+        table.writerow(["time", *(f"command_{name}" for name in joints), *(f"position_{name}" for name in joints)])
+        table.writerows([[f"{value:.9g}" for value in row] for row in rows])
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("model", type=Path)
@@ -125,12 +142,17 @@ def main() -> None:
         parser.add_argument(f"--{name}", type=kind, default=default)
     asked = parser.parse_args()
     model = mujoco.MjModel.from_xml_path(str(asked.model))
+    if other := [model.actuator(a).name for a in range(model.nu) if model.actuator_trntype[a] != mujoco.mjtTrn.mjTRN_JOINT]:
+        parser.error(f"{asked.model}: {', '.join(other)} drive no joint; expected a servo for each joint, take others out")
+    try:
+        push = hidden(model, asked.hide) if asked.hide else lambda data: None
+    except ValueError as error:
+        parser.error(f"--hide {asked.hide}: {error}")
     model.opt.timestep = STEP
     told = changed(model, np.random.default_rng(asked.seed), asked.friction, asked.armature)
     mujoco.mj_setConst(model, mujoco.MjData(model))
     joints = [model.joint(model.actuator_trnid[a, 0]) for a in range(model.nu)]
     places = [int(one.qposadr[0]) for one in joints]
-    push = hidden(model, asked.hide) if asked.hide else lambda data: None
     home, reach = room(model, joints, places)
     (asked.out / "data").mkdir(parents=True, exist_ok=True)
     (asked.out / "truth.txt").write_text("\n".join([*told, f"hidden: {asked.hide}"]) + "\n")
@@ -138,10 +160,7 @@ def main() -> None:
         rng = np.random.default_rng(asked.seed * 1000 + i)
         t, u = commands(rng, home, reach)
         rows = np.column_stack([t, u, played(model, places, u, rng, push)])
-        with (asked.out / "data" / f"motion_{i:02d}.csv").open("w", newline="") as file:
-            table = csv.writer(file)
-            table.writerow(["time", *(f"command_{one.name}" for one in joints), *(f"position_{one.name}" for one in joints)])
-            table.writerows([[f"{value:.9g}" for value in row] for row in rows])
+        write_motion(asked.out / "data", i, [one.name for one in joints], rows)
 
 
 if __name__ == "__main__":

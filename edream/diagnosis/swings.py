@@ -38,6 +38,7 @@ class _Series:
 
     @property
     def power(self) -> float:
+        """Sum of squares over all motions."""
         return max(sum(float(np.sum((v - v.mean()) ** 2)) for v in self.values), 1e-30)
 
     def spectra(self, step: float, length: int) -> Complex[np.ndarray, "M F"]:
@@ -102,7 +103,7 @@ def _left(problem: Problem, fit: Fit, joint: str) -> _Series:
 
 
 def _told(fit: Fit) -> list[_Series]:
-    """The commands of every joint in the same motions."""
+    """The commands [rad, or what an actuator takes] of each joint in the fitted motions, J of them."""
     parts = []
     for w in fit.objective.windows:
         clock = w.episode.times[w.first : w.last + 1]
