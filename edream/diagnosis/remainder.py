@@ -54,6 +54,7 @@ FEATURES = (
 )
 BUMPED = ("bump", "direction_bump", "speed_bump", "motor_bump")
 WAVES = ("sine", "cosine")
+NEAR = 0.05  # Hz: half of what motions of ten seconds can tell apart, in which a frequency is refitted
 RECENT = (0.5, 2.0, 10.0)  # s, over which a joint's speed may be remembered: what warms up, or settles
 
 
@@ -104,7 +105,10 @@ def residual_torque(state: State, index: dict[str, int], values: Mapping[str, An
 
 
 class ResidualTorque(Effect):
-    """A sum of torque terms on one joint, each with its own coefficient; the terms are chosen per instance."""
+    """A sum of torque terms on one joint, each with its own coefficient; the terms are chosen per instance.
+
+    `shape` has centres and widths of bumps [rad], which stay, and frequencies of waves [Hz], which may be refitted.
+    """
 
     name = "residual_torque"
     summary = "a torque that has no name"
@@ -118,17 +122,22 @@ class ResidualTorque(Effect):
         self.terms, self.scales, self.shape = tuple(terms), tuple(scales), dict(shape)
 
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
-        """One coefficient a term, in units that give a torque, and the fixed shape of bumps [rad] and waves [Hz]."""
+        """One coefficient a term, in units that give a torque, and the shape of bumps [rad] and waves [Hz]."""
         torque = torque_scale(model, targets[0])
         terms = [
             Parameter(name, "N m per term", -3.0 * torque / s, 3.0 * torque / s, 0.0, absent=0.0, spread=torque / s)
             for name, s in zip(self.terms, self.scales, strict=True)
         ]
-        shape = [
-            Parameter(name, "Hz" if name.startswith("frequency") else "rad", value - 1.0, value + 1.0, value)
-            for name, value in self.shape.items()
-        ]
-        return (*terms, *shape)
+        return (*terms, *(_shaped(name, value) for name, value in self.shape.items()))
+
+
+def _shaped(name: str, value: float) -> Parameter:
+    unit, away = ("Hz", NEAR) if _is_frequency(name) else ("rad", 1.0)
+    return Parameter(name, unit, value - away, value + away, value)
+
+
+def _is_frequency(name: str) -> bool:
+    return name.startswith("frequency_")
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,10 +208,13 @@ def _longer(problem: Problem, fit: Fit, joint: str, found: Remainder | None) -> 
     terms = [*old, *(candidates[i] for i in chosen)]
     places = {n.partition("_at_")[2] for n in terms if n.partition("_at_")[0] in (*BUMPED, *WAVES)}
     used = {key: value for key, value in shape.items() if key.partition("_")[2] in places}
-    small = Placement(ResidualTorque(terms, _scales(problem, joint, terms), used), (joint,), fixed=used)
+    held = {key: value for key, value in used.items() if not _is_frequency(key)}
+    small = Placement(ResidualTorque(terms, _scales(problem, joint, terms), used), (joint,), fixed=held)
     begun, zero = extend(fit, [small])
-    start = np.concatenate([base.values, zero[len(base.unit) :]])
-    return descend(with_column(base, begun, start), fresh_columns(fit, begun), iterations=6), small
+    so_far = base.space.mapping(base.values)
+    start = np.array([so_far.get(name, value) for name, value in zip(begun.simulated.space.names, zero, strict=True)])
+    fresh = fresh_columns(fit, begun)
+    return descend(with_column(base, begun, start, fresh), fresh, iterations=6), small
 
 
 def _torque(placement: Placement) -> ResidualTorque:
@@ -293,11 +305,12 @@ def _pursue(
 def _formula(fit: Fit, placement: Placement) -> str:
     """The torque in words and numbers [N m]: q angle, v speed, u command, motor its torque; dof numbers for other joints."""
     values = fit.space.mapping(fit.values)
-    shape = dict(placement.fixed or {})
-    terms = []
-    for parameter in placement.parameters(fit.objective.simulated.robot.model):
-        quantity = parameter.name.partition(".")[2].partition("[")[0]
-        terms.append(f"{values[parameter.name]:+.3g} {_words(quantity, shape)}")
+    found = {
+        one.name.partition(".")[2].partition("[")[0]: values[one.name]
+        for one in placement.parameters(fit.objective.simulated.robot.model)
+    }
+    shape = found | dict(placement.fixed or {})
+    terms = [f"{value:+.3g} {_words(quantity, shape)}" for quantity, value in found.items() if not _is_frequency(quantity)]
     return "tau = " + " ".join(terms) + " N m"
 
 

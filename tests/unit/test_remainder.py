@@ -110,6 +110,9 @@ def test_what_hums_in_step_with_the_recording_is_a_sine_in_time_and_what_has_its
     assert found is not None and found.real and found.joint == "tilt"
     frequencies = {float(f) for f in re.findall(r"(?:sin|cos)\(2 pi ([\d.]+) Hz t\)", found.formula)}
     assert frequencies and all(f == pytest.approx(1.3, abs=0.02) for f in frequencies), found.formula
+    numbers = found.fit.space.mapping(found.fit.values)
+    refitted = [value for name, value in numbers.items() if ".frequency_" in name]
+    assert refitted == [pytest.approx(1.3, abs=1e-3)], "to the digit that a recording of ten seconds shows"
     assert found.errors.mean() < 0.2 * left_out_errors(problem, fit).mean(), "a fifth of the squared error, on motions left out"
 
     problem = prepare(robot, [hummed(robot, seed, 2.4 * seed) for seed in range(6)], Settings())
