@@ -9,12 +9,13 @@ from jaxtyping import Float
 from edream.catalog import load
 from edream.core.effect import Effect
 from edream.diagnosis.descent import Fit, begin, descend
-from edream.diagnosis.left_out import bootstrap, leaves_no_gap, left_out_errors
+from edream.diagnosis.left_out import bootstrap, gap_above_floor, leaves_no_gap, left_out_errors
 from edream.diagnosis.problem import Problem
 from edream.diagnosis.trials import Trial, on_few
 
 FRICTION = "coulomb"
 FIRST, FURTHER = 4, 6  # steps on a few motions, and on all
+FAR = 0.5  # of what creeping closes: an effect that closes less by its first refit is searched for beside friction that creeps
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +48,15 @@ def creeping(problem: Problem, fit: Fit, errors: Float[np.ndarray, "M"]) -> Cree
 def outdoes(found: Creeping, trials: Sequence[Trial], seed: int) -> bool:
     """Whether motions left out speak for friction that creeps and against every effect that surely helps."""
     return all(bootstrap(t.errors - found.errors, seed)[0] > 0.0 for t in trials if t.sure)
+
+
+def is_far_ahead(found: Creeping, problem: Problem, errors: Float[np.ndarray, "M"], trials: Sequence[Trial]) -> bool:
+    """Whether no effect comes near what friction that creeps closes, by first refits: no search will bring one there.
+
+    `errors` are of motions left out, with neither [rad^2], (M,).
+    """
+    closed = float(errors.mean() - found.errors.mean()) / gap_above_floor(problem, errors)
+    return all(t.closed < FAR * closed for t in trials)
 
 
 def _softened(fit: Fit, start: Fit, form: Effect, steps: int) -> Fit:

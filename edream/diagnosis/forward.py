@@ -8,7 +8,7 @@ from jaxtyping import Float
 from edream.diagnosis.astray import screen_twice
 from edream.diagnosis.backward import nearer_without, passes, stands
 from edream.diagnosis.candidates import untouched
-from edream.diagnosis.creep import creeping, outdoes
+from edream.diagnosis.creep import creeping, is_far_ahead, outdoes
 from edream.diagnosis.decide import Round, restarted, settled, simplest, simplified, told_apart, with_confusable
 from edream.diagnosis.descent import Fit, polish
 from edream.diagnosis.ends import arrived
@@ -58,6 +58,10 @@ def forward(
         if not rounds and (nearer := nearer_without(fit, trials)) is not None:
             fit = nearer  # so much nearer that this ends
             continue
+        softer = creeping(problem, fit, errors)
+        if softer is not None and is_far_ahead(softer, problem, errors, trials):
+            problem, fit = softer.problem, softer.fit
+            continue
         if not rounds:  # later ones begin at numbers that make up for less
             trials = with_bold(problem, fit, errors, trials, lambda n: done("searching", n))
         trials = with_rough(problem, fit, errors, trials, lambda n: done("searching", n))
@@ -66,7 +70,6 @@ def forward(
         trials = settled(problem, fit, errors, trials)
         trials = restarted(problem, errors, trials)
         trials = simplified(problem, fit, errors, trials)
-        softer = creeping(problem, fit, errors)
         if softer is not None and outdoes(softer, trials, problem.settings.seed):
             problem, fit = softer.problem, softer.fit
             continue

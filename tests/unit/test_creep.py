@@ -9,7 +9,7 @@ import pytest
 import edream
 from edream import catalog
 from edream.core.effect import Effect
-from edream.diagnosis.creep import creeping, outdoes
+from edream.diagnosis.creep import FAR, Creeping, creeping, is_far_ahead, outdoes
 from edream.diagnosis.evidence import evidence
 from edream.diagnosis.left_out import leaves_no_gap
 from edream.diagnosis.nuisance import fit_nuisance
@@ -82,3 +82,13 @@ def test_friction_that_holds_is_not_taken_for_one_that_creeps() -> None:
     found = creeping(problem, fit, errors)
     true = Trial(None, 1.0, fit, np.full(len(errors), problem.floor**2), 1.0, True)
     assert found is None or not outdoes(found, [true], 0)
+
+
+@pytest.mark.parametrize(("closed", "ahead"), [((0.9 * FAR, -2.0), True), ((0.1, 1.1 * FAR), False), ((), True)])
+def test_friction_that_creeps_is_taken_before_any_search_where_no_effect_comes_near_what_it_closes(
+    closed: tuple[float, ...], ahead: bool
+) -> None:
+    problem = prepare(HEAD, episodes_of(HEAD, smooth(0.01), 2), Settings())
+    floor = np.full(2, problem.floor**2)
+    trials = [Trial(None, 1.0, None, floor, one, False) for one in closed]
+    assert is_far_ahead(Creeping(problem, None, floor), problem, 9.0 * floor, trials) is ahead
