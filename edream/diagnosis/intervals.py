@@ -5,7 +5,8 @@ from jaxtyping import Float
 from scipy.optimize import lsq_linear
 
 SURE = 1.96  # standard deviations to either side: a 95 % interval
-HALVINGS = 12  # of the way to an end: nearer than a thousandth of it
+MOST_STEPS = 12  # on the way to an end
+NEARLY = 1e-4  # of the level: so near is there
 SINGULAR = 1e-9  # of a variance: less is none, where numbers go together wholly
 
 
@@ -56,15 +57,12 @@ def _reached(
         return far
     low, high = np.minimum(room[others, 0], 0.0) - SINGULAR, np.maximum(room[others, 1], 0.0) + SINGULAR
 
-    def distance(way: float) -> float:
-        """From u, of the nearest place in the box that has gone so far."""
-        found = lsq_linear(root[:, others], -root[:, i] * way, bounds=(low, high), method="bvls")
-        return float(np.sqrt(2.0 * found.cost))
-
-    if distance(far) <= level:
-        return far
-    inside, outside = 0.0, far
-    for _ in range(HALVINGS):
-        middle = 0.5 * (inside + outside)
-        inside, outside = (middle, outside) if distance(middle) <= level else (inside, middle)
-    return inside
+    way = far
+    for _ in range(MOST_STEPS):  # Newton's, from outside: the distance is convex along the way
+        nearest = lsq_linear(root[:, others], -root[:, i] * way, bounds=(low, high), method="bvls")
+        rest = root[:, others] @ nearest.x + root[:, i] * way
+        distance = float(np.linalg.norm(rest))  # from u, of the nearest place in the box that has gone so far
+        if distance <= (1.0 + NEARLY) * level:
+            break
+        way -= (distance - level) * distance / float(root[:, i] @ rest)
+    return way

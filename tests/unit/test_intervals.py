@@ -36,7 +36,7 @@ def test_the_ends_are_those_that_a_search_finds_in_ellipsoid_and_box(seed: int) 
     for number in range(4):
         for side, end in ((1.0, low), (-1.0, high)):
             found = minimize(lambda x, n=number, s=side: s * x[n], unit, bounds=[(0.0, 1.0)] * 4, constraints=inside)
-            assert end[number] == pytest.approx(found.x[number], abs=2e-3)
+            assert end[number] == pytest.approx(found.x[number], abs=3e-4)
 
 
 def test_numbers_of_which_nothing_is_known_stay_where_they_are() -> None:
