@@ -19,6 +19,7 @@ STRETCH = 1.5  # s
 LONGEST_STEP = 0.2  # of the unit box
 SHORTER = (0.5, 0.2, 0.06)  # of a step
 LITTLE = 0.1  # of a squared standard deviation: a gain that no interval would notice
+MOST_TURNS, SETTLED = 7, 0.8  # differences at an end; of each curvature, the share from which it is no flatter than it seemed
 PATIENT = 3  # iterations from which a descent is meant to arrive
 WORD = 0.5  # share of the promised gain that a whole step must bring
 PULLING = 0.02  # share of what numbers do that is on other joints than their own, from which it is differenced anew as well
@@ -198,6 +199,24 @@ def polish(fit: Fit, iterations: int = 3) -> Fit:
             if before - after < LITTLE:
                 break
     return replace(fit, ended=True)
+
+
+def with_true_slopes(fit: Fit) -> Fit:
+    """The fit where it is, differenced along its principal axes until these have settled: there intervals are true.
+
+    A valley that is all but flat seems steep until the differences go along it, and that takes some turns: what the kinks of dry
+    friction leave of single numbers' differences had made the interval of a friction a fifth as wide as it is.
+    """
+    groups = blocks(fit.objective.acts_on)
+    apart = len(groups) > 1
+    for _ in range(MOST_TURNS):
+        seemed = np.linalg.eigvalsh(fit.hessian())
+        fit = replace(fit, jacobian=jacobian_along_axes(fit.objective, fit.unit, fit.hessian(), apart))
+        if np.all(np.linalg.eigvalsh(fit.hessian()) >= SETTLED * seemed):
+            break
+    if apart and coupled(fit.objective, groups, fit.unit, fit.residual, fit.hessian()):
+        fit = replace(fit, jacobian=jacobian_along_axes(fit.objective, fit.unit, fit.hessian(), apart=False))
+    return fit
 
 
 def _tried(fit: Fit, units: Float[np.ndarray, "N P"]) -> list[tuple[float, np.ndarray, np.ndarray]]:

@@ -70,7 +70,8 @@ def for_a_plain_loop(problem: Problem, fit: Fit) -> tuple[Problem, Fit]:
             plain = replace(plain, step=float(plain.model.opt.timestep) / 2.0)
         objective, unit, residual = _replayed(fit, plain)
         begun = replace(fit, objective=objective, unit=unit, residual=residual)
-        near = replace(descend(begun, np.zeros(len(unit), bool), iterations=2), ended=fit.ended)
+        # what these steps tell of slopes is along themselves: where numbers go together it would make intervals far too narrow
+        near = replace(descend(begun, np.zeros(len(unit), bool), iterations=2), jacobian=fit.jacobian, ended=fit.ended)
         if near.rms <= AS_NEAR * fit.rms:
             break
     return replace(problem, robot=plain), near

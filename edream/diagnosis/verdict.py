@@ -12,7 +12,7 @@ from edream.diagnosis.another_way import by_another_way
 from edream.diagnosis.backward import backward, refitted_without, stands, still_standing
 from edream.diagnosis.candidates import Candidate, placement, standing
 from edream.diagnosis.decide import Round
-from edream.diagnosis.descent import Fit, polish
+from edream.diagnosis.descent import Fit, polish, with_true_slopes
 from edream.diagnosis.doubts import asked_again, doubtful, others_of
 from edream.diagnosis.exchange import exchanged
 from edream.diagnosis.finer import with_plain
@@ -222,7 +222,8 @@ def behind_numbers(
 
 def named_effects(problem: Problem, found: Found) -> tuple[list[Named], list[str]]:
     """What is named, and the labels of what of that is behind strange numbers, or is one."""
-    effects = [_named(problem, found.ended, t, found.heard, found.trials) for t in found.trials]
+    known = with_true_slopes(found.ended) if found.trials else found.ended
+    effects = [_named(problem, known, t, found.heard, found.trials) for t in found.trials]
     if found.trials and not found.suspects:  # beside a name, a strange number alone is its own form, which no formula has exactly
         return effects, []
     more = with_suspects(problem, found.numbers, found.suspects)

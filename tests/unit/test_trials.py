@@ -131,6 +131,7 @@ def _diagnosed(monkeypatch: pytest.MonkeyPatch, strange: verdict.Named, told: di
         "most_ordinary": lambda problem, fit: fit,
         "off_nominal": lambda problem, fit: [strange],
         "polish": lambda fit: fit,
+        "with_true_slopes": lambda fit: fit,
         "without_numbers": lambda problem, fit, numbers, suspects: FitOf(
             f"without {suspects[0].candidate.effect if suspects else numbers[0].name}", 1.0
         ),
