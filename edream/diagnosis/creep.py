@@ -51,7 +51,7 @@ def outdoes(found: Creeping, trials: Sequence[Trial], seed: int) -> bool:
 
 
 def is_far_ahead(found: Creeping, problem: Problem, errors: Float[np.ndarray, "M"], trials: Sequence[Trial]) -> bool:
-    """Whether no effect comes near what friction that creeps closes, by first refits: no search will bring one there.
+    """Whether no effect comes near what friction that creeps closes, by first refits; each is searched for beside it then.
 
     `errors` are of motions left out, with neither [rad^2], (M,).
     """

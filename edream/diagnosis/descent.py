@@ -177,7 +177,7 @@ def descend(fit: Fit, fresh: Bool[np.ndarray, "P"] | None = None, iterations: in
 
 
 def polish(fit: Fit, iterations: int = 3) -> Fit:
-    """Go down to the end, also along a valley that is all but flat; the Jacobian at the end is fit for intervals.
+    """Go down to the end, also along a valley that is all but flat; for intervals that are stated see `with_true_slopes`.
 
     Differences go along the principal axes of the last Jacobian, and steps straight in the parameters' own units. What joints do to
     each other comes in when steps without it have come to their end, where it is more than a little.
