@@ -22,6 +22,8 @@ ELSEWHERE = 1.5  # floors of error on a joint where nothing is named: looked int
 MATERIAL = 0.05  # of the gap at first, in root-mean-square error, that an effect beside others must close
 SEEN = 0.1  # of the floor squared: less than that no usual number is called strange for
 SEEN_ORDINARY = 0.05  # the same for an effect with which numbers are ordinary: these say the same thing once more
+BORNE_OUT = 0.8  # of the gap on motions never fitted: names that close less are contradicted by them,
+WORSE = 4.0  # where the squared error there is so many times that on motions left out
 ASTRAY = 1.2  # times the fit's own error: a motion left out that is so much worse may say more about the step than about the model
 
 
@@ -158,6 +160,19 @@ def on_others(problem: Problem, proof: Float[np.ndarray, "K"]) -> str:
 def still_off(problem: Problem, proof: Float[np.ndarray, "K"]) -> str:
     """What to say beside names that leave a real gap on motions never fitted; nothing where they do not."""
     return f" Still left: {on_others(problem, proof)}." if proof.mean() > (REAL_GAP * problem.floor) ** 2 else ""
+
+
+def is_refuted(
+    problem: Problem, left: Float[np.ndarray, "M"], before: Float[np.ndarray, "K"], after: Float[np.ndarray, "K"]
+) -> bool:
+    """Whether motions never fitted contradict what was named: a real gap is left there, and far more than on motions left out.
+
+    A wrong form can follow all that was fitted, and fails where others go further. `left` are the squared errors [rad^2] on motions
+    left out with what is named, (M,), `before` and `after` those on motions never fitted without and with it, (K,).
+    """
+    without, beside = float(before.mean()), float(after.mean())
+    closed = without - beside >= BORNE_OUT * (without - problem.floor**2)
+    return is_real(problem, after) and not closed and beside > WORSE * float(left.mean())
 
 
 def falls_short(problem: Problem, first: Float[np.ndarray, "M"], left: Float[np.ndarray, "M"]) -> bool:

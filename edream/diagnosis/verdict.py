@@ -27,6 +27,8 @@ from edream.diagnosis.left_out import (
     is_clear,
     is_left,
     is_real,
+    is_refuted,
+    on_others,
     proof_errors,
     still_off,
 )
@@ -37,7 +39,7 @@ from edream.diagnosis.remainder import Remainder, find_remainder
 from edream.diagnosis.steps import for_a_plain_loop, in_a_plain_loop
 from edream.diagnosis.suspects import Suspect, find_suspects, most_ordinary, what_stays, with_ordinary_numbers
 from edream.diagnosis.trials import Trial, is_another, judged, predicted
-from edream.diagnosis.wording import Verdict, on_creep, on_steps, sentence, where_it_shows
+from edream.diagnosis.wording import Verdict, contradicted, on_creep, on_steps, sentence, where_it_shows
 from edream.sim.objective import rms
 from edream.sim.robot import RobotModel
 
@@ -136,8 +138,7 @@ def diagnose(problem: Problem, done: Callable[[str, int], object] = lambda text,
     effects, also = named_effects(problem, found)
     remainder = rounds[0].formula or unexplained(problem, found.before, found.fit, rounds[0].errors, found.left, trials)
     done("remainder", 1)
-    verdict, possible = judge(effects, remainder, found.short), contenders(found, effects)
-    fit = found.fit
+    possible, fit = contenders(found, effects), found.fit
     if remainder is not None:
         fit = remainder.fit
         effects = [one for one in effects if remainder.beside_names]
@@ -151,8 +152,12 @@ def diagnose(problem: Problem, done: Callable[[str, int], object] = lambda text,
     written, fit = for_a_plain_loop(problem, fit)
     after = np.sqrt(proof_errors(problem, fit))
     ladder[-1] = (ladder[-1][0], after)
+    refuted = remainder is None and bool(trials) and is_refuted(problem, found.left, ladder[1][1] ** 2, after**2)
+    verdict = judge(effects, remainder, found.short or refuted)
     if verdict == "none":
         said = agreement(problem, after**2)
+    elif refuted:
+        said = contradicted(effects, problem.robot.joints, on_others(problem, after**2))
     else:
         shows = where_it_shows(problem, found.fit) if verdict == "unnamed" and remainder is None else ""
         said = sentence(verdict, effects, remainder, problem.robot.joints, shows) + still_off(problem, after**2)
@@ -359,7 +364,8 @@ def judge(effects: Sequence[Named], remainder: Remainder | None, short: bool) ->
     Args:
         effects: what was found.
         remainder: a formula for what has no name, if one holds.
-        short: whether a real gap is left open, most of it or, where strange numbers are all that was found, any.
+        short: whether a real gap is left open, most of it or, where strange numbers are all that was found, any; or motions never
+            fitted contradict what was found.
     """
     if remainder is not None or short:
         return "unnamed"

@@ -20,10 +20,7 @@ def sentence(
 
     `joints` are all that the robot has; `shows` says where a gap shows that neither a name nor a formula explains.
     """
-    places: dict[str, list[str]] = {}
-    for one in effects:
-        places.setdefault(one.summary, []).extend(one.targets)
-    parts = [summary + _on(targets, joints) for summary, targets in places.items()]
+    parts = _parts(effects, joints)
     if verdict == "unnamed":
         nothing = f"{shows} No formula for it holds on motions left out, either; recordings of more such motions may settle it."
         what = f" It behaves like {remainder.formula} on {remainder.joint}." if remainder else nothing
@@ -34,6 +31,12 @@ def sentence(
         names = "; ".join(f"{one.name} may be {' or '.join(_short(r, one) for r in one.confusable_with)}" for one in doubtful)
         return f"Your simulator lacks {_and(parts)}, but these motions cannot tell it from others: {names}."
     return f"Your simulator lacks {_and(parts)}."
+
+
+def contradicted(effects: Sequence[Named], joints: Sequence[str], left: str) -> str:
+    """What to say where motions never fitted contradict what was found; `left` says by how much."""
+    seems = f"Something real is missing that no effect in the library explains. It resembles {_and(_parts(effects, joints))}"
+    return f"{seems} on the motions that were fitted, but others contradict that: {left}. More motions like those may settle it."
 
 
 def on_steps(problem: Problem, written: Problem) -> str:
@@ -57,6 +60,14 @@ def where_it_shows(problem: Problem, fit: Fit) -> str:
     swing = main_swing(problem, fit, joint)
     swings = f", where it swings at {swing.frequency:.3g} Hz whatever the commands are" if swing else ""
     return f" It shows most on {joint}{swings}."
+
+
+def _parts(effects: Sequence[Named], joints: Sequence[str]) -> list[str]:
+    """Each kind of effect once, with all places where it acts."""
+    places: dict[str, list[str]] = {}
+    for one in effects:
+        places.setdefault(one.summary, []).extend(one.targets)
+    return [summary + _on(targets, joints) for summary, targets in places.items()]
 
 
 def _on(targets: Sequence[str], joints: Sequence[str]) -> str:

@@ -151,4 +151,4 @@ def summary(found: Diagnosis, bundle: Mapping[str, Any], more: str) -> dict[str,
     }
 
 
-ENTRY = Stage("diagnose", 147, ("ingest",), DiagnoseConfig, run, sources, ("mujoco", "numpy", "scipy"))
+ENTRY = Stage("diagnose", 148, ("ingest",), DiagnoseConfig, run, sources, ("mujoco", "numpy", "scipy"))

@@ -34,7 +34,7 @@ from edream.diagnosis.screen import (
 from edream.diagnosis.starts import as_published
 from edream.diagnosis.trials import Trial
 from edream.diagnosis.verdict import judge
-from edream.diagnosis.wording import sentence
+from edream.diagnosis.wording import contradicted, sentence
 from edream.sim.rollout import rollout
 from edream.sim.simulation import SimulatedRobot
 from tests.still_problem import NOISE, commanded, having
@@ -266,6 +266,8 @@ def test_names_that_close_little_of_a_real_gap_do_not_pass_for_the_answer(
     named = Named("spring", "a spring", ("tilt",), {}, {}, {}, 0.1, None, ())
     assert judge([named], None, short) == ("unnamed" if short else "named")
     assert "a spring on tilt, and something else" in sentence("unnamed", [named], None, ("pan", "tilt"))
+    said = contradicted([named], ("pan", "tilt"), "1.6 mrad on motions never fitted")
+    assert "resembles a spring on tilt on the motions that were fitted, but others contradict that: 1.6 mrad" in said
 
 
 def test_a_step_that_leads_astray_does_not_judge_a_motion_left_out(problem: Problem, fit: Fit) -> None:

@@ -14,6 +14,7 @@ from edream.diagnosis.left_out import (
     gap_above_floor,
     is_left,
     is_material,
+    is_refuted,
     still_off,
 )
 
@@ -37,6 +38,18 @@ def test_what_names_leave_on_motions_never_fitted_is_said_where_it_is_a_gap() ->
     assert still_off(problem, np.full(3, 0.5e-3**2)) == ""
     said = still_off(problem, np.array([2.0e-3, 9.0e-3, 9.0e-3]) ** 2)
     assert said == " Still left: 7.4 mrad on motions never fitted, where noise and repetition explain 0.3."
+
+
+@pytest.mark.parametrize(
+    ("left", "before", "after", "refuted"),
+    [(1.1, 10.0, 5.5, True), (3.0, 10.0, 5.5, False), (1.1, 20.0, 5.5, False), (1.1, 1.9, 1.7, False), (1.1, 10.0, 12.0, True)],
+)
+def test_motions_never_fitted_contradict_a_name_that_follows_only_what_was_fitted(
+    left: float, before: float, after: float, refuted: bool
+) -> None:
+    """Root-mean-square errors in floors. A cable that lets go again was a hardening spring, which left 1.2 and, further on, 5.5."""
+    squares = (np.full(count, error) ** 2 for count, error in ((9, left), (3, before), (3, after)))
+    assert is_refuted(SimpleNamespace(floor=1.0), *squares) is refuted
 
 
 @pytest.mark.parametrize(
