@@ -165,14 +165,14 @@ def still_off(problem: Problem, proof: Float[np.ndarray, "K"]) -> str:
 def is_refuted(
     problem: Problem, left: Float[np.ndarray, "M"], before: Float[np.ndarray, "K"], after: Float[np.ndarray, "K"]
 ) -> bool:
-    """Whether motions never fitted contradict what was named: a real gap is left there, and far more than on motions left out.
+    """Whether motions never fitted contradict what was named: a clear gap is left there, and far more than on motions left out.
 
-    A wrong form can follow all that was fitted, and fails where others go further. `left` are the squared errors [rad^2] on motions
+    A wrong form can follow all that was fitted, and fails elsewhere. `left` are the squared errors [rad^2] on motions
     left out with what is named, (M,), `before` and `after` those on motions never fitted without and with it, (K,).
     """
     without, beside = float(before.mean()), float(after.mean())
     closed = without - beside >= BORNE_OUT * (without - problem.floor**2)
-    return is_real(problem, after) and not closed and beside > WORSE * float(left.mean())
+    return is_clear(problem, after) and not closed and beside > WORSE * float(left.mean())
 
 
 def falls_short(problem: Problem, first: Float[np.ndarray, "M"], left: Float[np.ndarray, "M"]) -> bool:
