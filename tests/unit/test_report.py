@@ -254,6 +254,13 @@ def test_every_verdict_has_a_page(verdict: str) -> None:
     assert not Reader(diagnosis_page(found, ingested(), "arm")).open
 
 
+@pytest.mark.parametrize(("verdict", "heading"), [("named", "What is missing"), ("unnamed", "What comes nearest")])
+def test_what_is_no_answer_does_not_stand_under_what_is_missing(verdict: str, heading: str) -> None:
+    found = diagnosis()
+    found["summary.json"]["verdict"] = verdict
+    assert f"<h2>{heading}</h2>" in diagnosis_page(found, ingested(), "arm")
+
+
 def test_a_fit_without_held_out_motions_has_a_page() -> None:
     assert "fitted to" in calibration_page(calibration(held=False), ingested(), None, "arm")
 
