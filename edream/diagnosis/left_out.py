@@ -78,6 +78,13 @@ def proof_errors(problem: Problem, fit: Fit) -> Float[np.ndarray, "M"]:
     return np.array([_mean_square(s, w.measured, problem.counted) for s, w in zip(simulated, windows, strict=True)])
 
 
+def unstable_on(problem: Problem, fit: Fit) -> tuple[str, ...]:
+    """Motions that were never fitted on which the simulation becomes unstable, by name; their errors count nothing."""
+    windows = problem.proof
+    simulated = rollout_each(fit.objective.simulated, np.tile(fit.values, (len(windows), 1)), windows, problem.settings.threads)
+    return tuple(w.episode.name for w, s in zip(windows, simulated, strict=True) if not np.isfinite(s).all())
+
+
 def bootstrap(gain: Float[np.ndarray, "M"], seed: int) -> tuple[float, float]:
     """95 % interval of the mean of paired differences, resampling whole motions.
 

@@ -94,12 +94,25 @@ def with_long_steps(problem: Problem, fit: Fit) -> Fit:
 
 
 def may_tell(problem: Problem, fit: Fit) -> bool:
-    """Whether an error can be seen, and shorter steps move the robot so differently that this may be the error."""
+    """Whether an error can be seen, and shorter steps move the robot so differently that this may be the error.
+
+    What inertia makes up for counts as well where there is none left for it: no number can be small enough for such steps.
+    """
     model = problem.robot.model
     if not first_order(model) or fit.rms <= (1.0 + VISIBLE) * problem.floor:
         return False
-    _, _, residual = _replayed(fit, replace(problem.robot, step=float(model.opt.timestep) / SHORTER))
+    drowned = is_drowned(model, fit.space.mapping(fit.values))
+    _, _, residual = _replayed(fit, replace(problem.robot, step=float(model.opt.timestep) / SHORTER), makes_up=not drowned)
     return rms(residual - fit.residual) / (1.0 - 1.0 / SHORTER) >= LEAST * fit.rms
+
+
+def is_drowned(model: mujoco.MjModel, values: Mapping[str, float]) -> bool:
+    """Whether a joint's inertia is mostly what late damping makes of it, as where a stiff servo comes to rest within a step.
+
+    `values`: full parameter name -> value, among them damping [N m s/rad] and inertia [kg m^2].
+    """
+    later = moved(model, values, float(model.opt.timestep))
+    return any(name.startswith(INERTIA) and later[name] > 2.0 * value for name, value in values.items())
 
 
 def first_order(model: mujoco.MjModel) -> bool:
@@ -144,14 +157,15 @@ def in_continuous_time(problem: Problem, values: Mapping[str, float]) -> dict[st
     return moved(model, values, float(model.opt.timestep)) if first_order(model) else dict(values)
 
 
-def _replayed(fit: Fit, robot: RobotModel) -> tuple[Objective, np.ndarray, np.ndarray]:
+def _replayed(fit: Fit, robot: RobotModel, makes_up: bool = True) -> tuple[Objective, np.ndarray, np.ndarray]:
     """The objective with a robot of other steps, the unit-box numbers with which it moves most as the fit does, (P,), and the
-    residual there [rad], (R,). They are the fit's own, or those that make up for the steps on smooth motions."""
+    residual there [rad], (R,). They are the fit's own, or if it `makes_up` those that make up for the steps on smooth motions."""
     before = fit.objective.simulated
     simulated = SimulatedRobot(robot, before.placements)
     objective, space = replace(fit.objective, simulated=simulated, simulations=0), simulated.space
     found, less = fit.space.mapping(fit.values), float(before.model.opt.timestep) - float(robot.model.opt.timestep)
-    sets = np.array([space.vector(one) for one in (found, moved(before.robot.model, found, less))])
+    more = [moved(before.robot.model, found, less)] if makes_up else []
+    sets = np.array([space.vector(one) for one in (found, *more)])
     residuals = objective.residuals(sets)
     nearest = int(np.argmin([rms(residual - fit.residual) for residual in residuals]))
     return objective, np.clip(space.to_unit(sets[nearest]), 0.0, 1.0), residuals[nearest]

@@ -31,6 +31,7 @@ from edream.diagnosis.left_out import (
     on_others,
     proof_errors,
     still_off,
+    unstable_on,
 )
 from edream.diagnosis.naming import Named, as_written, numbers_of, strange_numbers
 from edream.diagnosis.nuisance import fit_nuisance, published, with_shares
@@ -60,6 +61,7 @@ class Diagnosis:
         before: the model with nuisance numbers fitted, without what is named (`without_numbers`, where that is in the numbers);
             `after`: with the named effects (and the remainder's term, if any).
         published_rms, before_rms, after_rms: error [rad] on motions that were never fitted.
+        unstable: those of them on which the published model is unstable, so that no error of it counts.
         rounds: every forward step with its candidates.
         ladder: label of each step and the error [rad] on each never-fitted motion, (M,).
         remainder: what is left described by a formula, where it has no name.
@@ -76,6 +78,7 @@ class Diagnosis:
     published_rms: float
     before_rms: float
     after_rms: float
+    unstable: tuple[str, ...]
     rounds: Sequence[Round]
     ladder: Sequence[tuple[str, Float[np.ndarray, "M"]]]
     remainder: Remainder | None
@@ -120,7 +123,7 @@ def diagnose(problem: Problem, done: Callable[[str, int], object] = lambda text,
     """
     plain = published(in_a_plain_loop(problem))
     start = Fit(plain, np.zeros(0), np.zeros(0), np.zeros((0, 0)), 1.0)
-    ladder = [("published", np.sqrt(proof_errors(problem, start)))]
+    ladder, unstable = [("published", np.sqrt(proof_errors(problem, start)))], unstable_on(problem, start)
     problem, before = with_shares(problem, fit_nuisance(problem))
     done("nuisance", 1)
     problem, fit, rounds = forward(problem, before, done)
@@ -165,13 +168,14 @@ def diagnose(problem: Problem, done: Callable[[str, int], object] = lambda text,
         problem=written,
         searched=problem.robot,
         verdict=verdict,
-        sentence=said + on_creep(problem) + on_steps(problem, written),
+        sentence=said + on_creep(problem) + on_steps(problem, written, bool(unstable)),
         effects=tuple(as_written(one, found.ended, fit) for one in effects),
         before=found.before,
         after=fit,
         published_rms=rms(ladder[0][1]),
         before_rms=rms(ladder[1][1]),
         after_rms=rms(after),
+        unstable=unstable,
         rounds=rounds,
         ladder=ladder,
         remainder=remainder,

@@ -39,14 +39,18 @@ def contradicted(effects: Sequence[Named], joints: Sequence[str], left: str) -> 
     return f"{seems} on the motions that were fitted, but others contradict that: {left}. More motions like those may settle it."
 
 
-def on_steps(problem: Problem, written: Problem) -> str:
-    """What to say where the published time step is too long, for the robot or for a plain loop; nothing otherwise."""
+def on_steps(problem: Problem, written: Problem, unstable: bool) -> str:
+    """What to say where the published time step is too long, for the robot or for a plain loop; nothing otherwise.
+
+    `unstable`: whether the published numbers blow up with it.
+    """
     published, searched, last = (
         f"{1e3 * float(robot.model.opt.timestep):.3g} ms" for robot in (problem.robot.published, problem.robot, written.robot)
     )
     found = f" Its steps of {published} are too long for this robot; all of this is with steps of {searched}."
     between = f" A plain loop with steps of {searched} gives commands too early or too late, so model.xml has steps of {last}."
-    return (found if searched != published else "") + (between if last != searched else "")
+    blown = f" As published it is unstable with steps of {published}." if unstable else ""
+    return blown + (found if searched != published else "") + (between if last != searched else "")
 
 
 def on_creep(problem: Problem) -> str:

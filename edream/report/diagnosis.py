@@ -41,7 +41,7 @@ def diagnosis_page(found: Mapping[str, Any], ingested: Mapping[str, Any], robot:
         "result": result,
         "beyond": any((effect["closed"] or 0.0) > 1.0 for effect in result["effects"]),
         "verdict": VERDICTS[result["verdict"]],
-        "tiles": _tiles(result["gap"], len(motions["proof"])),
+        "tiles": _tiles(result, len(motions["proof"])),
         "gap": _gap_figures(found),
         "visible": _visible(result, traces),
         "overlays": [
@@ -60,10 +60,11 @@ def diagnosis_page(found: Mapping[str, Any], ingested: Mapping[str, Any], robot:
     return page("diagnosis.html.j2", content)
 
 
-def _tiles(gap: Mapping[str, float], kept: int) -> list[tuple[str, str, str]]:
+def _tiles(result: Mapping[str, Any], kept: int) -> list[tuple[str, str, str]]:
     """The numbers that a reader takes away: label, value, unit."""
+    gap, unstable = result["gap"], result["unstable"]
     return [
-        ("published model", mrad(gap["published_rad"]), "mrad"),
+        ("published model", *(("unstable", "") if unstable else (mrad(gap["published_rad"]), "mrad"))),
         ("calibrated, nothing added", mrad(gap["before_rad"]), "mrad"),
         ("with what was missing", mrad(gap["after_rad"]), "mrad"),
         ("noise of the recordings", mrad(gap["noise_floor_rad"]), "mrad"),
@@ -78,7 +79,7 @@ def _gap_figures(found: Mapping[str, Any]) -> list[Figure]:
         final = np.sqrt(np.mean(np.square(errors["after"][len(errors["motions"]) - errors["proof"] :]), axis=1)).tolist()
         steps = [*steps[:2], (steps[2][0], final)] if len(steps) == 3 else [*steps, ("what stayed, refitted", final)]
     return [
-        ladder(steps, found["summary.json"]["gap"]["noise_floor_rad"]),
+        ladder(steps, found["summary.json"]["gap"]["noise_floor_rad"], found["summary.json"]["unstable"]),
         maps(errors["joints"], errors["motions"], errors["before"], errors["after"], errors["proof"]),
     ]
 

@@ -18,13 +18,16 @@ LABELLED = 24  # more motions than this are numbered, not named
 DRAWS = 4000
 
 
-def ladder(steps: Sequence[tuple[str, Sequence[float]]], floor: float | None) -> Figure:
+def ladder(steps: Sequence[tuple[str, Sequence[float]]], floor: float | None, unstable: Sequence[str] = ()) -> Figure:
     """Error on motions that were never fitted, one bar a step.
 
     Args:
         steps: label, and the error [rad] of each motion.
         floor: noise of the measurement [rad].
+        unstable: motions on which the first step's simulation blows up; where there are any, it gets no bar.
     """
+    if unstable:
+        steps = [(steps[0][0], [0.0] * len(steps[0][1])), *steps[1:]]
     rms = [float(np.sqrt(np.mean(np.square(errors)))) for _, errors in steps]
     spans = [interval(np.asarray(errors)) for _, errors in steps]
     colours = [PUBLISHED, BEFORE, *[AFTER] * len(steps)]
@@ -33,12 +36,14 @@ def ladder(steps: Sequence[tuple[str, Sequence[float]]], floor: float | None) ->
         axis = canvas.subplots()
         places = np.arange(len(steps))[::-1]
         axis.barh(places, np.array(rms) * MILLI, height=0.56, color=colours[: len(steps)], alpha=0.85)
-        for place, (low, high), (_, errors) in zip(places, spans, steps, strict=True):
+        for place, (low, high), (_, errors) in list(zip(places, spans, steps, strict=True))[bool(unstable) :]:
             axis.plot([low * MILLI, high * MILLI], [place, place], color=INK, linewidth=1.6, solid_capstyle="butt")
             axis.plot(np.asarray(errors) * MILLI, np.full(len(errors), place - 0.37), "|", color=INK, markersize=5, alpha=0.6)
         edge = max(max(high, max(errors)) for (_, high), (_, errors) in zip(spans, steps, strict=True)) * MILLI
-        for place, value, (_, high) in zip(places, rms, spans, strict=True):
-            axis.text(max(high, value) * MILLI + 0.015 * edge, place, f"{mrad(value)} mrad", va="center")
+        words = [f"{mrad(value)} mrad" for value in rms]
+        words[:1] = ["unstable with its own steps"] if unstable else words[:1]
+        for place, value, (_, high), word in zip(places, rms, spans, words, strict=True):
+            axis.text(max(high, value) * MILLI + 0.015 * edge, place, word, va="center")
         if floor is not None:
             axis.axvline(floor * MILLI, color=COMMAND, linewidth=1.2, linestyle="--")
             axis.text(floor * MILLI, len(steps) - 0.45, f" noise {mrad(floor)} mrad", va="bottom", fontsize=8.5)

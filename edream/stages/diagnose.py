@@ -133,6 +133,7 @@ def summary(found: Diagnosis, bundle: Mapping[str, Any], more: str) -> dict[str,
             "after_rad": found.after_rms,
             "noise_floor_rad": problem.noise_floor,
         },
+        "unstable": list(found.unstable),
         "step_s": {
             "published": float(problem.robot.published.model.opt.timestep),
             "searched": float(found.searched.model.opt.timestep),
@@ -151,4 +152,4 @@ def summary(found: Diagnosis, bundle: Mapping[str, Any], more: str) -> dict[str,
     }
 
 
-ENTRY = Stage("diagnose", 148, ("ingest",), DiagnoseConfig, run, sources, ("mujoco", "numpy", "scipy"))
+ENTRY = Stage("diagnose", 149, ("ingest",), DiagnoseConfig, run, sources, ("mujoco", "numpy", "scipy"))

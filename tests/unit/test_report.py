@@ -84,6 +84,7 @@ def diagnosis(verdict: str = "named", joint: str = "lift", effect: str = "stribe
         "sentence": f"Your simulator lacks friction that falls with speed (Stribeck) on {joint}.",
         "effects": [named] if verdict in ("named", "cannot_tell") else [],
         "gap": {"published_rad": 4.7e-3, "before_rad": 1.5e-3, "after_rad": 4e-4, "noise_floor_rad": 2e-4},
+        "unstable": [],
         "formula": "tau = +0.1 sin(q) N m" if verdict == "unnamed" else None,
         "parameters": {},
         "motions": {"fitted": names[:2], "proof": names[2:]},

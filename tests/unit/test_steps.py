@@ -12,7 +12,15 @@ from edream.diagnosis.naming import strange_numbers
 from edream.diagnosis.nuisance import fit_nuisance
 from edream.diagnosis.problem import Problem
 from edream.diagnosis.screen import extend, with_quantities
-from edream.diagnosis.steps import for_a_plain_loop, in_continuous_time, may_tell, moved, with_long_steps, with_short_steps
+from edream.diagnosis.steps import (
+    for_a_plain_loop,
+    in_continuous_time,
+    is_drowned,
+    may_tell,
+    moved,
+    with_long_steps,
+    with_short_steps,
+)
 from edream.diagnosis.trials import gone_on
 from edream.diagnosis.wording import on_steps
 from edream.sim.emit import emit
@@ -70,11 +78,21 @@ def test_steps_are_halved_where_that_closes_a_visible_error(coarse: tuple[Proble
     assert shorter.robot.step is not None and shorter.robot.step < 0.002
     assert fit.rms > 1.5 * problem.floor
     assert found.rms < 0.5 * fit.rms
-    assert "steps of 2 ms are too long" in on_steps(shorter, shorter)
+    assert "steps of 2 ms are too long" in on_steps(shorter, shorter, False)
     assert [one.name for one in strange_numbers(shorter, found)] == []
     made = emit(found.objective.simulated, found.values)
     assert mujoco.MjModel.from_xml_string(made.mjcf).opt.timestep == shorter.robot.step
     assert "timestep" in made.difference
+
+
+def test_steps_are_halved_where_no_inertia_is_small_enough_for_them() -> None:
+    text = pan_tilt().mjcf.replace('kp="20" kv="0.5"', 'kp="2000" kv="100"').replace('forcerange="-5 5"', "")
+    problem = still_problem(replace(pan_tilt(), mjcf=text), FINE, jump=1.0)
+    fit = fit_nuisance(problem)
+    assert is_drowned(problem.robot.model, fit.space.mapping(fit.values))
+    shorter, found = with_short_steps(problem, fit)
+    assert shorter.robot.step is not None
+    assert found.rms < 0.9 * fit.rms
 
 
 def test_first_looks_in_the_published_steps_see_what_shorter_ones_would(coarse: tuple[Problem, Fit]) -> None:
@@ -101,11 +119,13 @@ def test_steps_that_were_not_shortened_are_as_long_as_they_may_be(fit: Fit, prob
 
 def test_steps_stay_as_they_are_where_recordings_were_made_with_them(fit: Fit, problem: Problem) -> None:
     assert not may_tell(problem, fit)
+    assert not is_drowned(problem.robot.model, fit.space.mapping(fit.values))
     assert with_short_steps(problem, fit) == (problem, fit)
     plain, near = for_a_plain_loop(problem, fit)  # nor where a plain loop meets them as well
     assert plain.robot.step is None and not plain.robot.timed
     assert near.rms < 1.02 * fit.rms
-    assert on_steps(problem, plain) == ""
+    assert on_steps(problem, plain, False) == ""
+    assert on_steps(problem, plain, True) == " As published it is unstable with steps of 2 ms."
 
 
 def test_commands_between_steps_ask_a_plain_loop_for_shorter_ones() -> None:
@@ -117,7 +137,7 @@ def test_commands_between_steps_ask_a_plain_loop_for_shorter_ones() -> None:
     assert near.rms < 1.02 * fit.rms
     coarse = SimulatedRobot(replace(plain.robot, step=None), near.objective.simulated.placements)
     assert rms(replace(near.objective, simulated=coarse).residuals(fit.values)) > 1.2 * fit.rms
-    assert f"model.xml has steps of {1e3 * plain.robot.step:.3g} ms" in on_steps(problem, plain)
+    assert f"model.xml has steps of {1e3 * plain.robot.step:.3g} ms" in on_steps(problem, plain, False)
     made = emit(near.objective.simulated, near.values)
     robot = replace(plain.robot, mjcf=made.mjcf, step=None)
     replayed = open_loop(robot, problem.fitted)  # as any loop of mj_step has it
