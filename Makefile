@@ -17,15 +17,17 @@ WHOLE = experiment=tiny seed=1 runs=$(DEMO)/runs $(REPRODUCE)
 MOTIONS = robot=arm6 data=$(DEMO)/motions
 DEMOS = robot=arm6_working data=$(DEMO)/demos camera.file=$(DEMO)/demos.cameras.json render.scene=$(DEMO)/demos.scene.json
 TASK = task=grab_paper_cup rollouts.plate=$(DEMO)/demos.plate.png masks.plate=$(DEMO)/demos.plate.png
-CHANGED := "sft sft.change.share=0.5"
+begun = $(1)/sft/$$(sed -n 's/.*"sft": "\([0-9a-f]*\)".*/\1/p' $(1)/run-$(2).json)
+CHANGED = sft sft.start=$(call begun,$(DEMO)/runs,begun) sft.change.share=0.5 sft.train.steps=2000 sft.train.rate=0.0005 sft.train.average=0.998
 reproduce: .venv/ready
 	test -f $(DEMO)/demos.truth.json || { rm -rf $(DEMO)/demos $(DEMO)/demos.*; $(RUN)/edream record $(WHOLE) task=grab_paper_cup "record.effects=[$(HIDDEN)]" record.out=$(DEMO)/demos; }
 	test -f $(DEMO)/motions.truth.json || { rm -rf $(DEMO)/motions; $(RUN)/edream record $(WHOLE) record.truth=$(DEMO)/demos.truth.json record.out=$(DEMO)/motions; }
 	$(RUN)/edream calibrate $(WHOLE) $(MOTIONS) "fit.compare=[annealing]" run=reproduce-1-calibrate
 	$(RUN)/edream diagnose $(WHOLE) $(MOTIONS) run=reproduce-2-diagnose
 	$(RUN)/edream dream $(WHOLE) $(DEMOS) $(TASK) run=reproduce-3-dream
-	$(RUN)/edream train-policy $(WHOLE) $(DEMOS) $(TASK) 'evaluate.of=[sft,$(CHANGED),rl]' run=reproduce-4-policy
-	$(RUN)/edream train-policy $(WHOLE) $(DEMOS) $(TASK) 'evaluate.of=[sft,$(CHANGED)]' evaluate.paper=horizontal run=reproduce-5-changed
+	$(RUN)/edream train-policy $(WHOLE) $(DEMOS) $(TASK) 'evaluate.of=[sft]' evaluate.starts=10 evaluate.films=0 run=begun
+	$(RUN)/edream train-policy $(WHOLE) $(DEMOS) $(TASK) "evaluate.of=[sft,'$(CHANGED)',rl]" run=reproduce-4-policy
+	$(RUN)/edream train-policy $(WHOLE) $(DEMOS) $(TASK) "evaluate.of=[sft,'$(CHANGED)']" evaluate.paper=horizontal run=reproduce-5-changed
 	$(RUN)/edream report --whole reproduce --truth $(DEMO)/demos.truth.json runs=$(DEMO)/runs
 
 # A make-believe robot is filmed, its simulator calibrated, and renderings are turned into video like its camera's: 12 minutes on 2 cores.
@@ -62,8 +64,7 @@ policy-seeds-%: .venv/ready
 # The policy of policy-tiny that looks (sft.hidden), the same gone on with changed scenes, and both after RL: on the bench as it was, and with a
 # sheet of A4 paper on it that no demonstration has shown. Another robot: make policy-paper SEED=4 POLICY=runs/policy-seeds/4 STORE=runs/policy-seeds/runs.
 LOOKS = $(RUN)/edream train-policy $(PRACTICE) sft.hidden=0.5
-BEGUN = $(STORE)/sft/$$(sed -n 's/.*"sft": "\([0-9a-f]*\)".*/\1/p' $(STORE)/run-looks-$(SEED).json)
-GONE_ON = sft.start=$(BEGUN) sft.change.share=0.5 sft.train.steps=6000 sft.train.rate=0.0005 sft.train.average=0.998
+GONE_ON = sft.start=$(call begun,$(STORE),looks-$(SEED)) sft.change.share=0.5 sft.train.steps=6000 sft.train.rate=0.0005 sft.train.average=0.998
 BOTH = "evaluate.of=[\"sft\",\"rl\",\"sft $(GONE_ON)\",\"rl $(GONE_ON)\"]"
 policy-paper: export OMP_NUM_THREADS = 1
 policy-paper: .venv/ready

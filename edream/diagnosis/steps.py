@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 
 from edream.core.parameters import targets_in
-from edream.diagnosis.descent import Fit, descend
+from edream.diagnosis.descent import Fit, begin, descend
 from edream.diagnosis.problem import VISIBLE, Problem
 from edream.diagnosis.valleys import out_of_false_valleys
 from edream.sim.objective import Objective, rms
@@ -46,7 +46,10 @@ def _halved(problem: Problem, fit: Fit) -> tuple[Problem, Fit]:
             break
         robot = replace(problem.robot, step=float(problem.robot.model.opt.timestep) / 2.0)
         objective, unit, residual = _replayed(fit, robot)
-        found = descend(replace(fit, objective=objective, unit=unit, residual=residual, ended=False), None, iterations=3)
+        begun = replace(fit, objective=objective, unit=unit, residual=residual, ended=False)
+        if is_drowned(problem.robot.model, fit.space.mapping(fit.values)):  # next to nothing was to be felt of inertia
+            begun = begin(objective, unit)
+        found = descend(begun, None, iterations=3)
         if found.rms >= WORTH * fit.rms:
             break
         problem, fit = replace(problem, robot=robot), found
