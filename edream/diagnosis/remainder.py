@@ -178,6 +178,8 @@ def _found(problem: Problem, fit: Fit) -> Remainder | None:
         if (longer := _longer(problem, fit, joint, found)) is None:
             break
         refitted, small = longer
+        if found is not None and refitted.rms >= found.fit.rms:  # the further terms came to nothing
+            break
         errors = left_out_errors(problem, refitted)
         if found is not None and not errors.mean() < found.errors.mean():
             break

@@ -45,6 +45,7 @@ from edream.sim.objective import rms
 from edream.sim.robot import RobotModel
 
 CLOSED = 0.9  # share of the gap, in root-mean-square error, from which what is left is not worth a formula
+REST = 1.0 / 3.0  # of the squared gap that names leave: where a formula beside them leaves less, they are not the whole answer
 AS_GOOD = 1.1  # times the error of names and a formula that a formula alone may have and be preferred
 
 
@@ -351,7 +352,7 @@ def unexplained(
             rest, short = float(beside.errors.mean()), falls_short(problem, first, left)
             if trials and short and (alone := find_remainder(problem, before)) is not None and alone.real:
                 return alone if float(alone.errors.mean()) <= AS_GOOD * rest else beside
-            if not trials or short or rest - floor < 0.5 * (end - floor):
+            if not trials or short or rest - floor < REST * (end - floor):
                 return beside
     if not trials or (closed and len(trials) < 2):
         return None

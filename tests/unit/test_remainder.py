@@ -164,30 +164,45 @@ def test_a_clear_gap_that_several_names_leave_asks_for_a_formula_however_much_th
     assert found is (beside if told else None)
 
 
+@pytest.mark.parametrize(("share", "told"), [(0.25, True), (0.4, False)])
+def test_beside_a_name_that_closes_most_a_formula_must_take_two_thirds_of_the_rest(
+    share: float, told: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    floor = 3e-4
+    problem: Any = SimpleNamespace(floor=floor, settings=Settings())
+    first, rest = np.full(4, (200 * floor) ** 2), np.full(4, (60 * floor) ** 2)
+    beside = SimpleNamespace(real=True, errors=share * rest, beside_names=True)
+    monkeypatch.setattr(verdict, "find_remainder", lambda problem, fit, beside_names=False: beside if beside_names else None)
+    found = verdict.unexplained(problem, "before", "fit", first, rest, ["one"])  # type: ignore[arg-type, list-item]
+    assert found is (beside if told else None)
+
+
 @pytest.mark.parametrize(
-    ("left", "looks", "kept"),
+    ("left", "looks", "kept", "idle"),
     [
-        ([5.0, 1.5], 1, 1.5),  # the first closes the gap
-        ([20.0, 4.0], 1, 4.0),  # or nearly all of a large one
-        ([5.0, 3.0, 2.5, 2.2], 3, 2.2),  # each leaves one and is better: as many as are looked for
-        ([5.0, 3.0, 3.1, 1.0], 2, 3.0),  # the second is worse on motions left out
-        ([5.0, 3.0, None], 2, 3.0),  # nothing more explains enough
-        ([5.0, None], 1, None),
+        ([5.0, 1.5], 1, 1.5, None),  # the first closes the gap
+        ([20.0, 4.0], 1, 4.0, None),  # or nearly all of a large one
+        ([5.0, 3.0, 2.5, 2.2], 3, 2.2, None),  # each leaves one and is better: as many as are looked for
+        ([5.0, 3.0, 3.1, 1.0], 2, 3.0, None),  # the second is worse on motions left out
+        ([5.0, 3.0, 2.5, 2.2], 2, 3.0, 2),  # or comes to nothing in the fit
+        ([5.0, 3.0, None], 2, 3.0, None),  # nothing more explains enough
+        ([5.0, None], 1, None, None),
     ],
 )
 def test_a_formula_is_looked_at_again_where_it_leaves_a_gap_and_as_long_as_it_gets_better(
-    left: list[float | None], looks: int, kept: float | None, monkeypatch: pytest.MonkeyPatch
+    left: list[float | None], looks: int, kept: float | None, idle: int | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     floor = 3e-4
     problem: Any = type("Small", (), {"floor": floor, "settings": Settings()})()
     asked: list[Any] = []
 
-    def longer(problem: Any, fit: str, joint: str, found: Any) -> tuple[int, str] | None:
-        asked.append(found and found.fit)
-        return None if left[len(asked)] is None else (len(asked), "placement")
+    def longer(problem: Any, fit: str, joint: str, found: Any) -> tuple[Any, str] | None:
+        asked.append(found and found.fit.look)
+        look = len(asked)
+        return None if left[look] is None else (SimpleNamespace(look=look, rms=1.0 / (look - (look == idle))), "placement")
 
     def errors(problem: Any, fit: Any) -> np.ndarray:
-        return np.full(6, ((left[fit if isinstance(fit, int) else 0] or 0.0) * floor) ** 2)
+        return np.full(6, ((left[getattr(fit, "look", 0)] or 0.0) * floor) ** 2)
 
     monkeypatch.setattr(remainder, "_longer", longer)
     monkeypatch.setattr(remainder, "left_out_errors", errors)
