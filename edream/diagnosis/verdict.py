@@ -171,7 +171,7 @@ def diagnose(problem: Problem, done: Callable[[str, int], object] = lambda text,
         verdict=verdict,
         sentence=said + on_creep(problem) + on_steps(problem, written, bool(unstable)),
         effects=tuple(as_written(one, found.ended, fit) for one in effects),
-        before=found.before,
+        before=fit if len(ladder) == 2 else found.before,  # with nothing added there is one calibrated model, not two
         after=fit,
         published_rms=rms(ladder[0][1]),
         before_rms=rms(ladder[1][1]),

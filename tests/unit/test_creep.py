@@ -61,7 +61,7 @@ def smooth(speed: float, effects: tuple[str, ...] = (), seed: int = 4) -> Truth:
 
 def test_a_robot_with_smooth_friction_lacks_nothing_and_its_joints_creep_as_fast_as_they_do() -> None:
     found = diagnose(prepare(HEAD, episodes_of(HEAD, smooth(0.01), 4), Settings()))
-    assert found.verdict == "none"
+    assert found.verdict == "none" and found.before is found.after
     assert found.sentence.startswith("Your simulator agrees")
     assert "does not hold a stuck joint, which creeps" in found.sentence
     assert found.problem.creep in FORMS

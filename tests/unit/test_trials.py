@@ -142,7 +142,8 @@ def _diagnosed(monkeypatch: pytest.MonkeyPatch, strange: verdict.Named, told: di
         "in_a_plain_loop": lambda problem: problem,
         "for_a_plain_loop": lambda problem, fit: (problem, fit),
         "as_written": lambda one, found, written: one,
-        "on_steps": lambda problem, written: "",
+        "on_steps": lambda problem, written, unstable: "",
+        "unstable_on": lambda problem, fit: (),
         "stands": lambda problem, candidate, fit: True,
         "where_it_shows": lambda problem, fit: "",
     }
@@ -158,7 +159,7 @@ def _diagnosed(monkeypatch: pytest.MonkeyPatch, strange: verdict.Named, told: di
         (1.0, False, "named", ["servo_gain"], "without servo_gain", "usual"),
         (6.0, False, "unnamed", [], "usual", "usual"),
         (1.0, True, "cannot_tell", ["spring"], "without spring", "with a spring"),
-        (1.0, None, "none", [], "usual", "without servo_gain"),
+        (1.0, None, "none", [], "without servo_gain", "without servo_gain"),
         (6.0, True, "unnamed", [], "usual", "usual"),
     ],
 )
