@@ -64,7 +64,7 @@ def _tiles(result: Mapping[str, Any], kept: int) -> list[tuple[str, str, str]]:
     """The numbers that a reader takes away: label, value, unit."""
     gap, unstable = result["gap"], result["unstable"]
     return [
-        ("published model", *(("unstable", "") if unstable else (mrad(gap["published_rad"]), "mrad"))),
+        ("published model", "unstable", "") if unstable else ("published model", mrad(gap["published_rad"]), "mrad"),
         ("calibrated, nothing added", mrad(gap["before_rad"]), "mrad"),
         ("with what was missing", mrad(gap["after_rad"]), "mrad"),
         ("noise of the recordings", mrad(gap["noise_floor_rad"]), "mrad"),

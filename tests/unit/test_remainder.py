@@ -135,46 +135,40 @@ def test_no_swing_is_told_of_where_the_commands_swing_or_nothing_does() -> None:
     assert where_it_shows(problem, fit_nuisance(problem)) in (" It shows most on pan.", " It shows most on tilt.")
 
 
-@pytest.mark.parametrize(("alone", "told"), [(1.05, False), (1.5, True)])
-def test_names_that_fall_short_go_where_a_formula_alone_does_as_well(
-    alone: float, told: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def asked_for(monkeypatch: pytest.MonkeyPatch, names: int, first: float, left: float, beside: float, alone: float | None) -> str:
+    """Which formula is told, "beside" the names, "alone" or "none", where errors on motions left out are so many floors."""
     floor = 3e-4
+    told = {True: beside, False: alone}
+    made = {
+        by: one and SimpleNamespace(real=True, errors=np.full(4, (one * floor) ** 2), beside_names=by) for by, one in told.items()
+    }
+    monkeypatch.setattr(verdict, "find_remainder", lambda problem, fit, beside_names=False: made[beside_names])
     problem: Any = SimpleNamespace(floor=floor, settings=Settings())
-    first, left = np.full(4, (20 * floor) ** 2), np.full(4, (17 * floor) ** 2)
-    beside = SimpleNamespace(real=True, errors=np.full(4, (5 * floor) ** 2), beside_names=True)
-    instead = SimpleNamespace(real=True, errors=alone * beside.errors, beside_names=False)
-    monkeypatch.setattr(verdict, "find_remainder", lambda problem, fit, beside_names=False: beside if beside_names else instead)
-    found = verdict.unexplained(problem, "before", "fit", first, left, ["one"])  # type: ignore[arg-type, list-item]
-    assert found is (beside if told else instead)
+    errors = (np.full(4, (floors * floor) ** 2) for floors in (first, left))
+    found = verdict.unexplained(problem, "before", "fit", *errors, ["one", "two"][:names])  # type: ignore[arg-type, list-item]
+    return "none" if found is None else "beside" if found is made[True] else "alone"
 
 
-@pytest.mark.parametrize(("names", "left", "told"), [(2, 6.0, True), (2, 2.5, False), (1, 6.0, False)])
+@pytest.mark.parametrize(("share", "told"), [(1.05, "alone"), (1.5, "beside")])
+def test_names_that_fall_short_go_where_a_formula_alone_does_as_well(
+    share: float, told: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert asked_for(monkeypatch, 1, first=20.0, left=17.0, beside=5.0, alone=5.0 * share**0.5) == told
+
+
+@pytest.mark.parametrize(("names", "left", "told"), [(2, 6.0, "beside"), (2, 2.5, "none"), (1, 6.0, "none")])
 def test_a_clear_gap_that_several_names_leave_asks_for_a_formula_however_much_they_close(
-    names: int, left: float, told: bool, monkeypatch: pytest.MonkeyPatch
+    names: int, left: float, told: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A rubber stop was a spring that hardens and friction with the load: 70 mrad to 6.4, where noise explains 0.3."""
-    floor = 3e-4
-    problem: Any = SimpleNamespace(floor=floor, settings=Settings())
-    first, rest = np.full(4, (100 * floor) ** 2), np.full(4, (left * floor) ** 2)
-    beside = SimpleNamespace(real=True, errors=np.full(4, (0.5 * left * floor) ** 2), beside_names=True)
-    alone = SimpleNamespace(real=True, errors=rest, beside_names=False)
-    monkeypatch.setattr(verdict, "find_remainder", lambda problem, fit, beside_names=False: beside if beside_names else alone)
-    found = verdict.unexplained(problem, "before", "fit", first, rest, ["one", "two"][:names])  # type: ignore[arg-type, list-item]
-    assert found is (beside if told else None)
+    assert asked_for(monkeypatch, names, first=100.0, left=left, beside=0.5 * left, alone=left) == told
 
 
-@pytest.mark.parametrize(("share", "told"), [(0.25, True), (0.4, False)])
+@pytest.mark.parametrize(("share", "told"), [(0.25, "beside"), (0.4, "none")])
 def test_beside_a_name_that_closes_most_a_formula_must_take_two_thirds_of_the_rest(
-    share: float, told: bool, monkeypatch: pytest.MonkeyPatch
+    share: float, told: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    floor = 3e-4
-    problem: Any = SimpleNamespace(floor=floor, settings=Settings())
-    first, rest = np.full(4, (200 * floor) ** 2), np.full(4, (60 * floor) ** 2)
-    beside = SimpleNamespace(real=True, errors=share * rest, beside_names=True)
-    monkeypatch.setattr(verdict, "find_remainder", lambda problem, fit, beside_names=False: beside if beside_names else None)
-    found = verdict.unexplained(problem, "before", "fit", first, rest, ["one"])  # type: ignore[arg-type, list-item]
-    assert found is (beside if told else None)
+    assert asked_for(monkeypatch, 1, first=200.0, left=60.0, beside=60.0 * share**0.5, alone=None) == told
 
 
 @pytest.mark.parametrize(
