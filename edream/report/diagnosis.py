@@ -62,7 +62,7 @@ def diagnosis_page(found: Mapping[str, Any], ingested: Mapping[str, Any], robot:
 
 def _tiles(result: Mapping[str, Any], kept: int) -> list[tuple[str, str, str]]:
     """The numbers that a reader takes away: label, value, unit."""
-    gap, unstable = result["gap"], result["unstable"]
+    gap, unstable = result["gap"], result.get("unstable")
     return [
         ("published model", "unstable", "") if unstable else ("published model", mrad(gap["published_rad"]), "mrad"),
         ("calibrated, nothing added", mrad(gap["before_rad"]), "mrad"),
@@ -79,7 +79,7 @@ def _gap_figures(found: Mapping[str, Any]) -> list[Figure]:
         final = np.sqrt(np.mean(np.square(errors["after"][len(errors["motions"]) - errors["proof"] :]), axis=1)).tolist()
         steps = [*steps[:2], (steps[2][0], final)] if len(steps) == 3 else [*steps, ("what stayed, refitted", final)]
     return [
-        ladder(steps, found["summary.json"]["gap"]["noise_floor_rad"], found["summary.json"]["unstable"]),
+        ladder(steps, found["summary.json"]["gap"]["noise_floor_rad"], found["summary.json"].get("unstable", ())),
         maps(errors["joints"], errors["motions"], errors["before"], errors["after"], errors["proof"]),
     ]
 

@@ -141,7 +141,7 @@ def _diagnosis(run: Run, hidden: Sequence[str]) -> dict[str, Any]:
         "times": [],
         "comparable": COMPARABLE["diagnose"],
         "tiles": [("of that error gone by diagnosis", share(closed), "")],
-        "figures": [ladder(steps, gap["noise_floor_rad"], result["unstable"])],
+        "figures": [ladder(steps, gap["noise_floor_rad"], result.get("unstable", ()))],
     }
 
 

@@ -84,7 +84,6 @@ def diagnosis(verdict: str = "named", joint: str = "lift", effect: str = "stribe
         "sentence": f"Your simulator lacks friction that falls with speed (Stribeck) on {joint}.",
         "effects": [named] if verdict in ("named", "cannot_tell") else [],
         "gap": {"published_rad": 4.7e-3, "before_rad": 1.5e-3, "after_rad": 4e-4, "noise_floor_rad": 2e-4},
-        "unstable": [],
         "formula": "tau = +0.1 sin(q) N m" if verdict == "unnamed" else None,
         "parameters": {},
         "motions": {"fitted": names[:2], "proof": names[2:]},
@@ -200,6 +199,15 @@ def pages() -> dict[str, str]:
 @pytest.mark.parametrize("which", ["diagnosis", "calibration"])
 def test_the_first_line_is_the_sentence(pages: dict[str, str], which: str) -> None:
     assert Reader(pages[which]).text[0].startswith("Your simulator ")
+
+
+def test_a_published_model_that_blew_up_has_no_error_that_counts(pages: dict[str, str]) -> None:
+    found = diagnosis()
+    found["summary.json"] |= {"unstable": ["swing 2"], "gap": found["summary.json"]["gap"] | {"published_rad": 10.0}}
+    text = Reader(diagnosis_page(found, ingested(), "arm")).text
+    assert text[text.index("published model") + 1] == "unstable" and "10000" not in text
+    told = Reader(pages["diagnosis"]).text
+    assert told[told.index("published model") + 1] == "4.70" and "unstable" not in told
 
 
 @pytest.mark.parametrize("which", ["diagnosis", "calibration"])

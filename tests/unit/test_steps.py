@@ -8,8 +8,9 @@ import pytest
 
 from edream.diagnosis.candidates import Candidate, placement
 from edream.diagnosis.descent import Fit, descend
+from edream.diagnosis.left_out import unstable_on
 from edream.diagnosis.naming import strange_numbers
-from edream.diagnosis.nuisance import fit_nuisance
+from edream.diagnosis.nuisance import fit_nuisance, published
 from edream.diagnosis.problem import Problem
 from edream.diagnosis.screen import extend, with_quantities
 from edream.diagnosis.steps import (
@@ -93,6 +94,15 @@ def test_steps_are_halved_where_no_inertia_is_small_enough_for_them() -> None:
     shorter, found = with_short_steps(problem, fit)
     assert shorter.robot.step is not None
     assert found.rms < 0.9 * fit.rms
+
+
+def test_a_published_model_that_its_own_steps_make_unstable_is_known_by_the_motions() -> None:
+    text = pan_tilt().mjcf.replace('kp="20" kv="0.5"', 'kp="2000" kv="100"').replace('forcerange="-5 5"', "")
+    explicit = replace(pan_tilt(), mjcf=text.replace('integrator="implicitfast"', 'integrator="Euler"'))
+    for robot, blown in ((explicit, True), (pan_tilt(), False)):
+        problem = still_problem(robot, FINE)
+        start = Fit(published(problem), np.zeros(0), np.zeros(0), np.zeros((0, 0)), 1.0)
+        assert unstable_on(problem, start) == (tuple(window.episode.name for window in problem.proof) if blown else ())
 
 
 def test_first_looks_in_the_published_steps_see_what_shorter_ones_would(coarse: tuple[Problem, Fit]) -> None:
