@@ -5,6 +5,7 @@ from typing import Any
 
 from edream.calibration.methods import methods
 from edream.core.stage import Artifact, stage_of
+from edream.practice.naming import brief
 from edream.report.calibration import by_horizon, by_joint
 from edream.report.overview import ladder
 from edream.report.page import mrad, page, picture, share
@@ -211,7 +212,7 @@ def _success(runs: Sequence[Run], together: bool) -> Iterator[dict[str, Any]]:
         rows = [_rate_row(row, changed) for row in summary["rates"]]
         last = summary["rates"][-1]
         told = f"{summary['task']}{', paper on the table' if changed else ''}"
-        short = f"{told}: {last['name']} {100 * last['success']['share']:.0f} %."
+        short = f"{told}: {brief(last['name'])} {100 * last['success']['share']:.0f} %."
         where = f"with a sheet of A4 paper on the table ({paper})" if changed else "on the scene of the demonstrations"
         yield {
             "name": f"{summary['task']}: {'augmentation, the scene is changed' if changed else 'supervised, then by trials'}",
