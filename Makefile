@@ -17,6 +17,7 @@ WHOLE = experiment=tiny seed=1 runs=$(DEMO)/runs $(REPRODUCE)
 MOTIONS = robot=arm6 data=$(DEMO)/motions
 DEMOS = robot=arm6_working data=$(DEMO)/demos camera.file=$(DEMO)/demos.cameras.json render.scene=$(DEMO)/demos.scene.json
 TASK = task=grab_paper_cup rollouts.plate=$(DEMO)/demos.plate.png masks.plate=$(DEMO)/demos.plate.png
+# where a run keeps the weights of its SFT, from which changed scenes go on: the folder of runs, the run's name
 begun = $(1)/sft/$$(sed -n 's/.*"sft": "\([0-9a-f]*\)".*/\1/p' $(1)/run-$(2).json)
 CHANGED = sft sft.start=$(call begun,$(DEMO)/runs,begun) sft.change.share=0.5 sft.train.steps=2000 sft.train.rate=0.0005 sft.train.average=0.998
 reproduce: .venv/ready

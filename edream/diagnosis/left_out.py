@@ -72,17 +72,20 @@ def _mean_square(simulated: np.ndarray, measured: np.ndarray, counted: np.ndarra
 
 def proof_errors(problem: Problem, fit: Fit) -> Float[np.ndarray, "M"]:
     """Mean squared error [rad^2] of each motion that was never fitted, (M,)."""
-    windows = problem.proof
-    sets = np.tile(fit.values, (len(windows), 1))
-    simulated = rollout_each(fit.objective.simulated, sets, windows, problem.settings.threads)
-    return np.array([_mean_square(s, w.measured, problem.counted) for s, w in zip(simulated, windows, strict=True)])
+    pairs = zip(_proof_replays(problem, fit), problem.proof, strict=True)
+    return np.array([_mean_square(s, w.measured, problem.counted) for s, w in pairs])
 
 
 def unstable_on(problem: Problem, fit: Fit) -> tuple[str, ...]:
     """Motions that were never fitted on which the simulation becomes unstable, by name; their errors count nothing."""
-    windows = problem.proof
-    simulated = rollout_each(fit.objective.simulated, np.tile(fit.values, (len(windows), 1)), windows, problem.settings.threads)
-    return tuple(w.episode.name for w, s in zip(windows, simulated, strict=True) if not np.isfinite(s).all())
+    pairs = zip(_proof_replays(problem, fit), problem.proof, strict=True)
+    return tuple(w.episode.name for s, w in pairs if not np.isfinite(s).all())
+
+
+def _proof_replays(problem: Problem, fit: Fit) -> list[Float[np.ndarray, "T J"]]:
+    """Simulated positions [rad] in each motion that was never fitted; NaN once unstable."""
+    sets = np.tile(fit.values, (len(problem.proof), 1))
+    return rollout_each(fit.objective.simulated, sets, problem.proof, problem.settings.threads)
 
 
 def bootstrap(gain: Float[np.ndarray, "M"], seed: int) -> tuple[float, float]:

@@ -47,7 +47,7 @@ def _halved(problem: Problem, fit: Fit) -> tuple[Problem, Fit]:
         robot = replace(problem.robot, step=float(problem.robot.model.opt.timestep) / 2.0)
         objective, unit, residual = _replayed(fit, robot)
         begun = replace(fit, objective=objective, unit=unit, residual=residual, ended=False)
-        if is_drowned(problem.robot.model, fit.space.mapping(fit.values)):  # next to nothing was to be felt of inertia
+        if is_under_resolved(problem.robot.model, fit.space.mapping(fit.values)):  # next to nothing was to be felt of inertia
             begun = begin(objective, unit)
         found = descend(begun, None, iterations=3)
         if found.rms >= WORTH * fit.rms:
@@ -104,13 +104,13 @@ def may_tell(problem: Problem, fit: Fit) -> bool:
     model = problem.robot.model
     if not first_order(model) or fit.rms <= (1.0 + VISIBLE) * problem.floor:
         return False
-    drowned = is_drowned(model, fit.space.mapping(fit.values))
-    _, _, residual = _replayed(fit, replace(problem.robot, step=float(model.opt.timestep) / SHORTER), makes_up=not drowned)
+    under_resolved = is_under_resolved(model, fit.space.mapping(fit.values))
+    _, _, residual = _replayed(fit, replace(problem.robot, step=float(model.opt.timestep) / SHORTER), makes_up=not under_resolved)
     return rms(residual - fit.residual) / (1.0 - 1.0 / SHORTER) >= LEAST * fit.rms
 
 
-def is_drowned(model: mujoco.MjModel, values: Mapping[str, float]) -> bool:
-    """Whether a joint's inertia is mostly what late damping makes of it, as where a stiff servo comes to rest within a step.
+def is_under_resolved(model: mujoco.MjModel, values: Mapping[str, float]) -> bool:
+    """Whether steps hide a joint's inertia behind what late damping adds to it, as where a stiff servo comes to rest within one.
 
     `values`: full parameter name -> value, among them damping [N m s/rad] and inertia [kg m^2].
     """

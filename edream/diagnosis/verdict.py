@@ -45,7 +45,8 @@ from edream.sim.objective import rms
 from edream.sim.robot import RobotModel
 
 CLOSED = 0.9  # share of the gap, in root-mean-square error, from which what is left is not worth a formula
-REST = 1.0 / 3.0  # of the squared gap that names leave: where a formula beside them leaves less, they are not the whole answer
+# of the squared gap that names leave: where a formula leaves less, one name, or several, are not the whole answer
+REST, HALF = 1.0 / 3.0, 0.5
 AS_GOOD = 1.1  # times the error of names and a formula that a formula alone may have and be preferred
 
 
@@ -171,7 +172,7 @@ def diagnose(problem: Problem, done: Callable[[str, int], object] = lambda text,
         verdict=verdict,
         sentence=said + on_creep(problem) + on_steps(problem, written, bool(unstable)),
         effects=tuple(as_written(one, found.ended, fit) for one in effects),
-        before=fit if len(ladder) == 2 else found.before,  # with nothing added there is one calibrated model, not two
+        before=found.before if effects or remainder else fit,  # with nothing added there is one calibrated model, not two
         after=fit,
         published_rms=rms(ladder[0][1]),
         before_rms=rms(ladder[1][1]),
@@ -352,7 +353,7 @@ def unexplained(
             rest, short = float(beside.errors.mean()), falls_short(problem, first, left)
             if trials and short and (alone := find_remainder(problem, before)) is not None and alone.real:
                 return alone if float(alone.errors.mean()) <= AS_GOOD * rest else beside
-            if not trials or short or rest - floor < REST * (end - floor):
+            if not trials or short or rest - floor < (REST if len(trials) == 1 else HALF) * (end - floor):
                 return beside
     if not trials or (closed and len(trials) < 2):
         return None
@@ -360,7 +361,7 @@ def unexplained(
     if alone is None or not alone.real:
         return None
     better, _ = bootstrap(left - alone.errors, problem.settings.seed)
-    return alone if better > 0.0 and float(alone.errors.mean()) - floor < 0.5 * (end - floor) else None
+    return alone if better > 0.0 and float(alone.errors.mean()) - floor < HALF * (end - floor) else None
 
 
 def judge(effects: Sequence[Named], remainder: Remainder | None, short: bool) -> Verdict:

@@ -164,11 +164,11 @@ def test_a_clear_gap_that_several_names_leave_asks_for_a_formula_however_much_th
     assert asked_for(monkeypatch, names, first=100.0, left=left, beside=0.5 * left, alone=left) == told
 
 
-@pytest.mark.parametrize(("share", "told"), [(0.25, "beside"), (0.4, "none")])
-def test_beside_a_name_that_closes_most_a_formula_must_take_two_thirds_of_the_rest(
-    share: float, told: str, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(("names", "share", "told"), [(1, 0.25, "beside"), (1, 0.4, "none"), (2, 0.4, "beside"), (2, 0.6, "none")])
+def test_a_formula_must_take_two_thirds_of_what_one_name_leaves_and_half_of_what_several_do(
+    names: int, share: float, told: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert asked_for(monkeypatch, 1, first=200.0, left=60.0, beside=60.0 * share**0.5, alone=None) == told
+    assert asked_for(monkeypatch, names, first=200.0, left=60.0, beside=60.0 * share**0.5, alone=None) == told
 
 
 @pytest.mark.parametrize(

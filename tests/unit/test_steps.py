@@ -16,7 +16,7 @@ from edream.diagnosis.screen import extend, with_quantities
 from edream.diagnosis.steps import (
     for_a_plain_loop,
     in_continuous_time,
-    is_drowned,
+    is_under_resolved,
     may_tell,
     moved,
     with_long_steps,
@@ -34,10 +34,10 @@ from tests.still_problem import fit_of, pan_tilt, still_problem
 FINE = 0.000125  # s: a sixteenth of the published step
 
 
-def stiff() -> RobotModel:
-    """The arm with servos twenty times as stiff and without a limit."""
+def stiff(gains: str = 'kp="400" kv="4"') -> RobotModel:
+    """The arm with servos twenty times as stiff, or of other gains, and without a limit."""
     robot = pan_tilt()
-    return replace(robot, mjcf=robot.mjcf.replace('kp="20" kv="0.5"', 'kp="400" kv="4"').replace('forcerange="-5 5"', ""))
+    return replace(robot, mjcf=robot.mjcf.replace('kp="20" kv="0.5"', gains).replace('forcerange="-5 5"', ""))
 
 
 @pytest.fixture(scope="module")
@@ -87,18 +87,17 @@ def test_steps_are_halved_where_that_closes_a_visible_error(coarse: tuple[Proble
 
 
 def test_steps_are_halved_where_no_inertia_is_small_enough_for_them() -> None:
-    text = pan_tilt().mjcf.replace('kp="20" kv="0.5"', 'kp="2000" kv="100"').replace('forcerange="-5 5"', "")
-    problem = still_problem(replace(pan_tilt(), mjcf=text), FINE, jump=1.0)
+    problem = still_problem(stiff('kp="2000" kv="100"'), FINE, jump=1.0)
     fit = fit_nuisance(problem)
-    assert is_drowned(problem.robot.model, fit.space.mapping(fit.values))
+    assert is_under_resolved(problem.robot.model, fit.space.mapping(fit.values))
     shorter, found = with_short_steps(problem, fit)
     assert shorter.robot.step is not None
     assert found.rms < 0.9 * fit.rms
 
 
 def test_a_published_model_that_its_own_steps_make_unstable_is_known_by_the_motions() -> None:
-    text = pan_tilt().mjcf.replace('kp="20" kv="0.5"', 'kp="2000" kv="100"').replace('forcerange="-5 5"', "")
-    explicit = replace(pan_tilt(), mjcf=text.replace('integrator="implicitfast"', 'integrator="Euler"'))
+    implicit = stiff('kp="2000" kv="100"')
+    explicit = replace(implicit, mjcf=implicit.mjcf.replace('integrator="implicitfast"', 'integrator="Euler"'))
     for robot, blown in ((explicit, True), (pan_tilt(), False)):
         problem = still_problem(robot, FINE)
         start = Fit(published(problem), np.zeros(0), np.zeros(0), np.zeros((0, 0)), 1.0)
@@ -129,7 +128,7 @@ def test_steps_that_were_not_shortened_are_as_long_as_they_may_be(fit: Fit, prob
 
 def test_steps_stay_as_they_are_where_recordings_were_made_with_them(fit: Fit, problem: Problem) -> None:
     assert not may_tell(problem, fit)
-    assert not is_drowned(problem.robot.model, fit.space.mapping(fit.values))
+    assert not is_under_resolved(problem.robot.model, fit.space.mapping(fit.values))
     assert with_short_steps(problem, fit) == (problem, fit)
     plain, near = for_a_plain_loop(problem, fit)  # nor where a plain loop meets them as well
     assert plain.robot.step is None and not plain.robot.timed
