@@ -77,8 +77,8 @@ policy-paper: .venv/ready
 # The paper's table at the tiny size: four tasks, SFT with three views, SFT with one, RL with one. Then the ablation: RL under physics as
 # published, calibrated, and calibrated with the effects that diagnosis found, on one robot that hides four, by policies that read poses and not
 # images (state mode): one that sees its hand makes up for a simulator that has it elsewhere; six rounds of RL, as a fourth still helped in the
-# diagnosed simulator. Hours on 2 cores, but it can be stopped at any time: called again, it goes on. One task or less: make policy-table TASKS=put_cup_on_mat ROWS='["sft","rl"]'. Another hidden robot and other
-# demonstrations: make policy-table SEED=2 TABLE=runs/policy-table-2.
+# diagnosed simulator. Hours on 2 cores, but it can be stopped at any time: called again, it goes on. One task or less: make policy-table
+# TASKS=put_cup_on_mat ROWS='["sft","rl"]'. Another hidden robot and other demonstrations: make policy-table SEED=2 TABLE=runs/policy-table-2.
 TABLE := runs/policy-table
 TASKS ?= grab_paper_cup put_pen_in_cup put_remote_in_box put_cup_on_mat
 ROWS ?= ["sft policy.cameras=[cam_high,cam_side,wrist] sft.twins=false","sft","rl"]
