@@ -16,6 +16,7 @@ STRETCH = 10.0  # s of a motion that a reader can follow
 CLOSE = 0.8  # s in which lines can be told apart
 LABELLED = 24  # more motions than this are numbered, not named
 DRAWS = 4000
+BEYOND = 8.0  # times the largest other error: a first one that would leave the others no room
 
 
 def ladder(steps: Sequence[tuple[str, Sequence[float]]], floor: float | None, unstable: Sequence[str] = ()) -> Figure:
@@ -24,26 +25,30 @@ def ladder(steps: Sequence[tuple[str, Sequence[float]]], floor: float | None, un
     Args:
         steps: label, and the error [rad] of each motion.
         floor: noise of the measurement [rad].
-        unstable: motions on which the first step's simulation blows up; where there are any, it gets no bar.
+        unstable: motions on which the first step's simulation blows up; where there are any, it gets no bar. One that is far
+            larger than all others gets a bar that leaves the scale.
     """
-    if unstable:
-        steps = [(steps[0][0], [0.0] * len(steps[0][1])), *steps[1:]]
     rms = [float(np.sqrt(np.mean(np.square(errors)))) for _, errors in steps]
+    far = not unstable and len(steps) > 1 and rms[0] > BEYOND * max(rms[1:])
     spans = [interval(np.asarray(errors)) for _, errors in steps]
+    first = int(bool(unstable) or far)  # of the steps that are drawn to scale
+    edge = max(max(high, max(errors)) for (_, high), (_, errors) in list(zip(spans, steps, strict=True))[first:]) * MILLI
     colours = [PUBLISHED, BEFORE, *[AFTER] * len(steps)]
 
     def plot(canvas: Canvas) -> None:
         axis = canvas.subplots()
         places = np.arange(len(steps))[::-1]
-        axis.barh(places, np.array(rms) * MILLI, height=0.56, color=colours[: len(steps)], alpha=0.85)
-        for place, (low, high), (_, errors) in list(zip(places, spans, steps, strict=True))[bool(unstable) :]:
+        axis.barh(places[first:], np.array(rms[first:]) * MILLI, height=0.56, color=colours[first : len(steps)], alpha=0.85)
+        for place, value, (low, high), (_, errors) in list(zip(places, rms, spans, steps, strict=True))[first:]:
             axis.plot([low * MILLI, high * MILLI], [place, place], color=INK, linewidth=1.6, solid_capstyle="butt")
             axis.plot(np.asarray(errors) * MILLI, np.full(len(errors), place - 0.37), "|", color=INK, markersize=5, alpha=0.6)
-        edge = max(max(high, max(errors)) for (_, high), (_, errors) in zip(spans, steps, strict=True)) * MILLI
-        words = [f"{mrad(value)} mrad" for value in rms]
-        words[:1] = ["unstable with its own steps"] if unstable else words[:1]
-        for place, value, (_, high), word in zip(places, rms, spans, words, strict=True):
-            axis.text(max(high, value) * MILLI + 0.015 * edge, place, word, va="center")
+            axis.text(max(high, value) * MILLI + 0.015 * edge, place, f"{mrad(value)} mrad", va="center")
+        if unstable:
+            axis.text(0.015 * edge, places[0], "unstable with its own steps", va="center")
+        elif far:
+            axis.barh(places[0], 1.16 * edge, height=0.56, color=PUBLISHED, alpha=0.85)
+            word = f"{mrad(rms[0])} mrad, beyond this scale \N{RIGHTWARDS ARROW} "
+            axis.text(1.15 * edge, places[0], word, va="center", ha="right", color="white")
         if floor is not None:
             axis.axvline(floor * MILLI, color=COMMAND, linewidth=1.2, linestyle="--")
             axis.text(floor * MILLI, len(steps) - 0.45, f" noise {mrad(floor)} mrad", va="bottom", fontsize=8.5)

@@ -14,7 +14,7 @@ from edream.diagnosis.evidence import usual_number
 from edream.diagnosis.set_up import how_to_record
 from edream.report.calibration import calibration_page
 from edream.report.diagnosis import diagnosis_page, next_motion
-from edream.report.overview import interval, positions
+from edream.report.overview import interval, ladder, positions
 from edream.report.page import draw, mrad, number
 from edream.report.signature import SHOWS, signature
 from edream.report.traces import Trace, worst_stretch
@@ -208,6 +208,14 @@ def test_a_published_model_that_blew_up_has_no_error_that_counts(pages: dict[str
     assert text[text.index("published model") + 1] == "unstable" and "10000" not in text
     told = Reader(pages["diagnosis"]).text
     assert told[told.index("published model") + 1] == "4.70" and "unstable" not in told
+
+
+@pytest.mark.parametrize(("published", "leaves"), [(0.17, True), (0.001, False)])
+def test_a_published_model_that_is_far_off_leaves_the_scale_to_the_others(published: float, leaves: bool) -> None:
+    drawing = ladder([("published", [published]), ("calibrated", [5.1e-4]), ("+ play", [3.7e-4])], 2e-4).drawing
+    ticks = [float(word) for word in re.findall(r">\s*(\d+\.?\d*)\s*</text>", drawing)]
+    assert ("beyond this scale" in drawing) == leaves and max(ticks) < 2.0
+    assert all(f"{mrad(error)} mrad" in drawing for error in (published, 5.1e-4, 3.7e-4))
 
 
 @pytest.mark.parametrize("which", ["diagnosis", "calibration"])
