@@ -60,6 +60,7 @@ def changed(model: mujoco.MjModel, rng: np.random.Generator, friction: float, ar
             strict=True,
         )
         told.append(joint.name + "".join(f" {word} {value:.6g}" for word, value in words))
+    mujoco.mj_setConst(model, mujoco.MjData(model))  # how soft friction is goes by the inertia that a joint moves
     return told
 
 

@@ -16,7 +16,7 @@ from edream.catalog import load
 from edream.core.effect import Effect
 from edream.diagnosis.candidates import moving_bodies
 from edream.diagnosis.descent import Fit, begin, descend
-from edream.diagnosis.left_out import proof_errors
+from edream.diagnosis.never_fitted import proof_errors
 from edream.diagnosis.nuisance import published
 from edream.diagnosis.problem import Problem, nuisance_placements
 from edream.diagnosis.screen import screen

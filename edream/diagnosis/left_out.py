@@ -16,14 +16,11 @@ SMALL = 10  # numbers at most, with which that costs little
 BRIEF = 120.0  # s of motion, up to which trying is cheap
 LENGTHS = (1.0, 0.3)  # of a step
 REAL_GAP = 1.8  # floors of error that are a gap worth a name
-AT_THE_FLOOR = 1.2  # floors of error on motions never fitted that are still called agreement
 HALF = 0.5  # of the squared gap: a name that closes less of a real one may be a stand-in
 ELSEWHERE = 1.5  # floors of error on a joint where nothing is named: looked into, however large the gap was at first
 MATERIAL = 0.05  # of the gap at first, in root-mean-square error, that an effect beside others must close
 SEEN = 0.1  # of the floor squared: less than that no usual number is called strange for
 SEEN_ORDINARY = 0.05  # the same for an effect with which numbers are ordinary: these say the same thing once more
-BORNE_OUT = 0.8  # of the gap on motions never fitted: names that close less are contradicted by them,
-WORSE = 4.0  # where the squared error there is so many times that on motions left out
 ASTRAY = 1.2  # times the fit's own error: a motion left out that is so much worse may say more about the step than about the model
 
 
@@ -68,24 +65,6 @@ def _left_out_carefully(fit: Fit, fold: np.ndarray) -> Float[np.ndarray, "M"]:
 def _mean_square(simulated: np.ndarray, measured: np.ndarray, counted: np.ndarray) -> float:
     residual = np.nan_to_num((simulated - measured)[1:, counted], nan=UNSTABLE_RESIDUAL)
     return float(np.mean(residual**2))
-
-
-def proof_errors(problem: Problem, fit: Fit) -> Float[np.ndarray, "M"]:
-    """Mean squared error [rad^2] of each motion that was never fitted, (M,)."""
-    pairs = zip(_proof_replays(problem, fit), problem.proof, strict=True)
-    return np.array([_mean_square(s, w.measured, problem.counted) for s, w in pairs])
-
-
-def unstable_on(problem: Problem, fit: Fit) -> tuple[str, ...]:
-    """Motions that were never fitted on which the simulation becomes unstable, by name; their errors count nothing."""
-    pairs = zip(_proof_replays(problem, fit), problem.proof, strict=True)
-    return tuple(w.episode.name for s, w in pairs if not np.isfinite(s).all())
-
-
-def _proof_replays(problem: Problem, fit: Fit) -> list[Float[np.ndarray, "T J"]]:
-    """Simulated positions [rad] in each motion that was never fitted; NaN once unstable."""
-    sets = np.tile(fit.values, (len(problem.proof), 1))
-    return rollout_each(fit.objective.simulated, sets, problem.proof, problem.settings.threads)
 
 
 def bootstrap(gain: Float[np.ndarray, "M"], seed: int) -> tuple[float, float]:
@@ -134,55 +113,6 @@ def does_better(problem: Problem, fit: Fit, other: Fit, seen: float = SEEN) -> b
     gain = gain[first:last]
     low, _ = bootstrap(gain, problem.settings.seed)
     return low > 0.0 and float(gain.mean()) > seen * problem.floor**2
-
-
-def is_left(problem: Problem, left: Float[np.ndarray, "M"], proof: Float[np.ndarray, "K"]) -> bool:
-    """Whether a real gap is left with nothing named, and all motions together bear it out.
-
-    `left` and `proof` are the mean squared errors [rad^2] of motions left out, (M,), and of those never fitted, (K,).
-    """
-    real = is_real(problem, left) or is_real(problem, proof)
-    return real and is_borne_out(problem, np.concatenate([left, proof]), AT_THE_FLOOR)
-
-
-def agreement(problem: Problem, proof: Float[np.ndarray, "K"]) -> str:
-    """What to say where nothing is named; `proof` are the mean squared errors on motions never fitted [rad^2], (K,)."""
-    floor = problem.floor
-    if proof.mean() <= (AT_THE_FLOOR * floor) ** 2:
-        return "Your simulator agrees with these recordings down to their noise; nothing is missing that they could show."
-    left = on_others(problem, proof)
-    worst = int(np.argmax(proof))
-    alone = len(proof) > 1 and is_real(problem, proof) and np.delete(proof, worst).mean() <= (AT_THE_FLOOR * floor) ** 2
-    one = f", all of it in {problem.proof[worst].episode.name}" if alone else ""
-    if proof.mean() > (REAL_GAP * floor) ** 2:
-        misses = f"Your simulator meets the motions that it was fitted to, but misses others: {left}{one}."
-        return f"{misses} What is missing, if anything, does not show in the former; more motions may show it."
-    nearly = f"Your simulator nearly agrees with these recordings: {left}{one}."
-    return f"{nearly} That is too little to say what is missing, if anything is."
-
-
-def on_others(problem: Problem, proof: Float[np.ndarray, "K"]) -> str:
-    """How far motions never fitted are off, in words; `proof` are their mean squared errors [rad^2], (K,)."""
-    error, floor = 1e3 * rms(np.sqrt(proof)), 1e3 * problem.floor
-    return f"{error:.2g} mrad on motions never fitted, where noise and repetition explain {floor:.2g}"
-
-
-def still_off(problem: Problem, proof: Float[np.ndarray, "K"]) -> str:
-    """What to say beside names that leave a real gap on motions never fitted; nothing where they do not."""
-    return f" Still left: {on_others(problem, proof)}." if proof.mean() > (REAL_GAP * problem.floor) ** 2 else ""
-
-
-def is_refuted(
-    problem: Problem, left: Float[np.ndarray, "M"], before: Float[np.ndarray, "K"], after: Float[np.ndarray, "K"]
-) -> bool:
-    """Whether motions never fitted contradict what was named: a clear gap is left there, and far more than on motions left out.
-
-    A wrong form can follow all that was fitted, and fails elsewhere. `left` are the squared errors [rad^2] on motions
-    left out with what is named, (M,), `before` and `after` those on motions never fitted without and with it, (K,).
-    """
-    without, beside = float(before.mean()), float(after.mean())
-    closed = without - beside >= BORNE_OUT * (without - problem.floor**2)
-    return is_clear(problem, after) and not closed and beside > WORSE * float(left.mean())
 
 
 def falls_short(problem: Problem, first: Float[np.ndarray, "M"], left: Float[np.ndarray, "M"]) -> bool:

@@ -20,20 +20,23 @@ from edream.diagnosis.forward import forward
 from edream.diagnosis.left_out import (
     SEEN,
     SEEN_ORDINARY,
-    agreement,
     bootstrap,
     does_better,
     falls_short,
     is_clear,
-    is_left,
     is_real,
-    is_refuted,
+)
+from edream.diagnosis.naming import Named, as_written, numbers_of, strange_numbers
+from edream.diagnosis.never_fitted import (
+    agreement,
+    is_contradicted,
+    is_left,
     on_others,
     proof_errors,
+    proof_squares,
     still_off,
     unstable_on,
 )
-from edream.diagnosis.naming import Named, as_written, numbers_of, strange_numbers
 from edream.diagnosis.nuisance import fit_nuisance, published, with_shares
 from edream.diagnosis.problem import Problem, nuisance_placements
 from edream.diagnosis.remainder import Remainder, find_remainder
@@ -155,17 +158,18 @@ def diagnose(problem: Problem, done: Callable[[str, int], object] = lambda text,
         more = f" and {len(also) - 1} more" if len(also) > 1 else ""
         ladder.append((f"+ {also[0]}{more}", np.sqrt(proof_errors(problem, fit))))
     written, fit = for_a_plain_loop(problem, fit)
-    after = np.sqrt(proof_errors(problem, fit))
+    proof = proof_squares(problem, fit)
+    after = np.sqrt(proof.mean(axis=1))
     ladder[-1] = (ladder[-1][0], after)
-    refuted = remainder is None and bool(trials) and is_refuted(problem, found.left, ladder[1][1] ** 2, after**2)
+    refuted = remainder is None and bool(trials) and is_contradicted(problem, found.left, found.before, found.fit, proof)
     verdict = judge(effects, remainder, found.short or refuted)
     if verdict == "none":
-        said = agreement(problem, after**2)
+        said = agreement(problem, proof)
     elif refuted:
-        said = contradicted(effects, problem.robot.joints, on_others(problem, after**2))
+        said = contradicted(effects, problem.robot.joints, on_others(problem, proof))
     else:
         shows = where_it_shows(problem, found.fit) if verdict == "unnamed" and remainder is None else ""
-        said = sentence(verdict, effects, remainder, problem.robot.joints, shows) + still_off(problem, after**2)
+        said = sentence(verdict, effects, remainder, problem.robot.joints, shows) + still_off(problem, proof)
     return Diagnosis(
         problem=written,
         searched=problem.robot,

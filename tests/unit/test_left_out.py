@@ -8,58 +8,11 @@ import pytest
 from edream.diagnosis import left_out
 from edream.diagnosis.left_out import (
     SEEN_ORDINARY,
-    agreement,
     asks_for_more,
     does_better,
     gap_above_floor,
-    is_left,
     is_material,
-    is_refuted,
-    still_off,
 )
-
-
-def test_agreement_is_said_only_where_little_more_than_noise_is_left() -> None:
-    motions = [SimpleNamespace(episode=SimpleNamespace(name=name)) for name in ("swing", "nod", "turn")]
-    problem = SimpleNamespace(floor=0.393e-3, proof=motions)
-    assert agreement(problem, np.full(3, 0.40e-3**2)).startswith("Your simulator agrees with these recordings down to their noise")
-    said = agreement(problem, np.full(3, 0.602e-3**2))
-    assert "0.6 mrad on motions never fitted" in said and "explain 0.39." in said and "down to their noise" not in said
-    assert said.startswith("Your simulator nearly agrees")
-    missed = agreement(problem, np.full(3, 1.0e-3**2))
-    assert "agrees" not in missed and "misses others: 1 mrad on motions never fitted" in missed
-    assert "2.1 mrad on motions never fitted, where noise and repetition explain 0.39, all of it in nod." in agreement(
-        problem, np.array([0.3e-3, 3.6e-3, 0.4e-3]) ** 2
-    )
-
-
-def test_what_names_leave_on_motions_never_fitted_is_said_where_it_is_a_gap() -> None:
-    problem = SimpleNamespace(floor=0.3e-3)
-    assert still_off(problem, np.full(3, 0.5e-3**2)) == ""
-    said = still_off(problem, np.array([2.0e-3, 9.0e-3, 9.0e-3]) ** 2)
-    assert said == " Still left: 7.4 mrad on motions never fitted, where noise and repetition explain 0.3."
-
-
-@pytest.mark.parametrize(
-    ("left", "before", "after", "refuted"),
-    [(1.1, 10.0, 5.5, True), (3.0, 10.0, 5.5, False), (1.1, 20.0, 5.5, False), (1.1, 2.9, 2.8, False), (1.1, 10.0, 12.0, True)],
-)
-def test_motions_never_fitted_contradict_a_name_that_follows_only_what_was_fitted(
-    left: float, before: float, after: float, refuted: bool
-) -> None:
-    """Root-mean-square errors in floors. A cable that catches was a hardening spring, which left 2.2 and, on these, 5.5."""
-    squares = (np.full(count, error) ** 2 for count, error in ((9, left), (3, before), (3, after)))
-    assert is_refuted(SimpleNamespace(floor=1.0), *squares) is refuted
-
-
-@pytest.mark.parametrize(
-    ("left", "proof", "real"),
-    [(0.8, [8.0, 1.0, 0.7], False), (0.8, [0.9, 1.0, 0.7], False), (3.0, [2.0, 4.0, 3.0], True), (1.4, [1.9, 2.0, 2.0], True)],
-)
-def test_a_gap_that_rests_on_one_motion_is_none_that_something_is_missing_for(left: float, proof: list[float], real: bool) -> None:
-    """Root-mean-square errors in floors: of nine motions each while it was left out, and of three that were never fitted."""
-    problem = SimpleNamespace(floor=1.0, settings=SimpleNamespace(seed=0))
-    assert is_left(problem, np.full(9, left) ** 2, np.array(proof) ** 2) is real
 
 
 @pytest.mark.parametrize(

@@ -8,8 +8,8 @@ import pytest
 
 from edream.diagnosis.candidates import Candidate, placement
 from edream.diagnosis.descent import Fit, descend
-from edream.diagnosis.left_out import unstable_on
 from edream.diagnosis.naming import strange_numbers
+from edream.diagnosis.never_fitted import unstable_on
 from edream.diagnosis.nuisance import fit_nuisance, published
 from edream.diagnosis.problem import Problem
 from edream.diagnosis.screen import extend, with_quantities

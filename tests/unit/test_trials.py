@@ -146,6 +146,8 @@ def _diagnosed(monkeypatch: pytest.MonkeyPatch, strange: verdict.Named, told: di
         "unstable_on": lambda problem, fit: (),
         "stands": lambda problem, candidate, fit: True,
         "where_it_shows": lambda problem, fit: "",
+        "proof_squares": lambda problem, fit: told["proof_errors"](problem, fit)[:, None],
+        "is_contradicted": lambda problem, left, without, beside, proof: False,
     }
     for name, value in (always | told).items():
         monkeypatch.setattr(verdict, name, value)
