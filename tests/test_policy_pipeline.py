@@ -120,6 +120,7 @@ def test_every_policy_that_learned_from_trials_says_how(made, recorded: Path) ->
     page = pipeline.make_run("train-policy", ("evaluate", "report"), settings(recorded, Path(made[0].runs), *more))[0]["report"]
     text = page["report.html"]
     assert text.count('id="figure-ratios-') == 2
+    assert "RL, 1 view: 2 rounds of trials: success" in text and "RL, rl.rounds=1, 1 view: Round 1 of" in text
     assert text.count("<td>RL, rl.rounds=1, 1 view</td>") == 2 and text.count("<td>RL, 1 view</td>") == 3, "its rate and its rounds"
 
 

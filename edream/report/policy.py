@@ -49,10 +49,19 @@ def policy_page(made: Mapping[str, Mapping[str, Any]], robot: str) -> str:
             *(_ratios(number, name, made[policy]["losses.json"]) for number, (policy, name) in enumerate(tried.items())),
         ],
         "history": [{"policy": name} | row for name, history in histories.items() for row in history],
-        "stages": [(name, one["summary.json"]["sentence"]) for name, one in policies.items()],
+        "stages": [(name, _made(one)) for name, one in policies.items()],
         "recordings": about_recordings(made["ingest"]),
     }
     return page("policy.html.j2", content)
+
+
+def _made(one: Mapping[str, Any]) -> str:
+    """How a policy was made, all rounds of its trials together."""
+    history = one.get("history.json", ())
+    if len(history) < 2:
+        return str(one["summary.json"]["sentence"])
+    first, last = (100 * row["success"] for row in (history[0]["before"], history[-1]["kept"]))
+    return f"{len(history)} rounds of trials: success on held-out starts in the simulator from {first:.0f} % to {last:.0f} %."
 
 
 def _row(row: Mapping[str, Any]) -> dict[str, str]:
