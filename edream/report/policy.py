@@ -32,7 +32,6 @@ def policy_page(made: Mapping[str, Mapping[str, Any]], robot: str) -> str:
     names = {row["policy"]: row["name"] if called.count(one) > 1 else one for row, one in zip(rows, called, strict=True)}
     tried = {policy: name for policy, name in names.items() if policy.split(" ")[0] == "rl"}
     histories = {name: made[policy]["history.json"] for policy, name in tried.items()}
-    policies = {"SFT": sft} | {name: made[policy] for policy, name in tried.items()}
     outcomes = {(row["policy"], row["start"]): row["success"] for row in judged["outcomes.parquet"].to_pylist()}
     content = {
         "title": f"{summary['task']} on {robot}",
@@ -49,15 +48,15 @@ def policy_page(made: Mapping[str, Mapping[str, Any]], robot: str) -> str:
             *(_ratios(number, name, made[policy]["losses.json"]) for number, (policy, name) in enumerate(tried.items())),
         ],
         "history": [{"policy": name} | row for name, history in histories.items() for row in history],
-        "stages": [(name, _made(one)) for name, one in policies.items()],
+        "stages": [("SFT", sft["summary.json"]["sentence"]), *((name, _made(made[policy])) for policy, name in tried.items())],
         "recordings": about_recordings(made["ingest"]),
     }
     return page("policy.html.j2", content)
 
 
 def _made(one: Mapping[str, Any]) -> str:
-    """How a policy was made, all rounds of its trials together."""
-    history = one.get("history.json", ())
+    """How a policy learned from trials, all of their rounds together."""
+    history = one["history.json"]
     if len(history) < 2:
         return str(one["summary.json"]["sentence"])
     first, last = (100 * row["success"] for row in (history[0]["before"], history[-1]["kept"]))
