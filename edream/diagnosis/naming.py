@@ -14,9 +14,12 @@ from edream.diagnosis.descent import SURE, Fit
 from edream.diagnosis.problem import Problem
 from edream.diagnosis.steps import in_continuous_time
 from edream.diagnosis.suspects import ORDINARY, ordinary_own_damping
+from edream.sim.scales import position_gain
 from edream.sim.simulation import Placement, unit_at
 
 NUDGE = 1e-4  # of the unit box, by which a slope is taken
+ALIKE = 0.5  # of what a joint has, beside its servo's gain: so much makes another one like it
+FEW = 2  # others, of which most can be like it
 
 
 @dataclass(frozen=True)
@@ -74,7 +77,8 @@ def as_written(one: Named, found: Fit, written: Fit) -> Named:
 def strange_numbers(problem: Problem, fit: Fit) -> list[Named]:
     """Nuisance numbers that are far from the published ones, in the simulator's steps and in continuous time.
 
-    A servo's damping goes with its gain: it is strange where neither what it is nor what it would be at the published gain may be
+    What is published as zero on all joints and found on most of them is no news on one. A servo's damping goes with its gain: it is
+    strange where neither what it is nor what it would be at the published gain may be
     expected. Where the motions tell a joint's own damping from its servo's, that is looked at by itself.
     """
     found = []
@@ -94,6 +98,8 @@ def strange_numbers(problem: Problem, fit: Fit) -> list[Named]:
             gain, usual = gains.get(place.targets, ("", 1.0))
             if far and gain and place.effect.name == "viscous":
                 far = is_strange(parameter, share_of(fit, full, gain, usual))
+            if far and parameter.start == 0.0 and place.effect.place == "joint":
+                far = not others_have_it(problem, fit, place, parameter.name)
             if {"damping", "inside"} <= values.keys():
                 far = far or is_own_damping_strange(problem.robot.model, place.targets[0], own_damping(fit, place))
             if far:
@@ -101,6 +107,21 @@ def strange_numbers(problem: Problem, fit: Fit) -> list[Named]:
                     Named(place.effect.name, place.effect.summary, place.targets, values, intervals, units, float("nan"), None, ())
                 )
     return found
+
+
+def others_have_it(problem: Problem, fit: Fit, place: Placement, quantity: str) -> bool:
+    """Whether most other joints have about as much of a quantity as one has, beside the gains of their servos.
+
+    Where a model that has no dry friction at all is given some, one joint's passes any yardstick first.
+    """
+    fitted, model = fit.space.mapping(fit.values), problem.robot.model
+
+    def share(one: Placement) -> float:
+        return fitted[one.full_name(quantity)] / max(position_gain(model, one.targets[0]), 1e-9)
+
+    others = [p for p in fit.objective.simulated.placements if p.effect.name == place.effect.name and p.targets != place.targets]
+    alike = sum(share(one) >= ALIKE * share(place) for one in others)
+    return len(others) >= FEW and alike > len(others) / 2
 
 
 def is_strange(parameter: Parameter, interval: tuple[float, float]) -> bool:
