@@ -78,8 +78,8 @@ def strange_numbers(problem: Problem, fit: Fit) -> list[Named]:
     """Nuisance numbers that are far from the published ones, in the simulator's steps and in continuous time.
 
     What is published as zero on all joints and found on most of them is no news on one. A servo's damping goes with its gain: it is
-    strange where neither what it is nor what it would be at the published gain may be
-    expected. Where the motions tell a joint's own damping from its servo's, that is looked at by itself.
+    strange where neither what it is nor what it would be at the published gain may be expected. Where the motions tell a joint's
+    own damping from its servo's, that is looked at by itself.
     """
     found = []
     fitted = fit.space.mapping(fit.values)
@@ -112,14 +112,19 @@ def strange_numbers(problem: Problem, fit: Fit) -> list[Named]:
 def others_have_it(problem: Problem, fit: Fit, place: Placement, quantity: str) -> bool:
     """Whether most other joints have about as much of a quantity as one has, beside the gains of their servos.
 
-    Where a model that has no dry friction at all is given some, one joint's passes any yardstick first.
+    Where a model that has no dry friction at all is given some, one joint's passes any yardstick first. Joints for which the
+    quantity is published say nothing of one for which it is not.
     """
-    fitted, model = fit.space.mapping(fit.values), problem.robot.model
+    fitted, model, effect = fit.space.mapping(fit.values), problem.robot.model, load("effects", place.effect.name, Effect)
 
     def share(one: Placement) -> float:
         return fitted[one.full_name(quantity)] / max(position_gain(model, one.targets[0]), 1e-9)
 
-    others = [p for p in fit.objective.simulated.placements if p.effect.name == place.effect.name and p.targets != place.targets]
+    def is_published(one: Placement) -> bool:
+        return any(p.name == quantity and p.start > 0.0 for p in effect.parameters(model, one.targets))
+
+    others = [p for p in fit.objective.simulated.placements if p.effect.name == effect.name and p.targets != place.targets]
+    others = [] if any(map(is_published, others)) else others
     alike = sum(share(one) >= ALIKE * share(place) for one in others)
     return len(others) >= FEW and alike > len(others) / 2
 

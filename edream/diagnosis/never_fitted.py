@@ -71,16 +71,10 @@ def is_contradicted(
         proof: mean squared errors [rad^2] with it of each joint in each motion never fitted, (K, J).
     """
     own = about(problem, without, beside)
-    return _is_refuted(problem, left, proof_squares(problem, without)[:, own], proof[:, own])
-
-
-def _is_refuted(
-    problem: Problem, left: Float[np.ndarray, "M"], before: Float[np.ndarray, "K J"], after: Float[np.ndarray, "K J"]
-) -> bool:
-    """The same from errors on the joints that count."""
-    without, beside = float(before.mean()), float(after.mean())
-    closed = without - beside >= BORNE_OUT * (without - problem.floor**2)
-    return is_clear(problem, after) and not closed and beside > WORSE * float(left.mean())
+    before, after = float(proof_squares(problem, without)[:, own].mean()), float(proof[:, own].mean())
+    closed = before - after >= BORNE_OUT * (before - problem.floor**2)
+    fitted = float((joint_errors(problem, beside)[own] ** 2).mean())  # on these joints, of which the mean over all says less
+    return is_clear(problem, proof[:, own]) and not closed and after > WORSE * max(float(left.mean()), fitted)
 
 
 def agreement(problem: Problem, squares: Float[np.ndarray, "K J"]) -> str:

@@ -14,31 +14,32 @@ from edream.sim.simulation import Placement
 JOINTS = ("a", "b", "c", "d")
 
 
-def arm() -> mujoco.MjModel:
-    """Four joints in a row whose model has rotors, and no dry friction; the last servo is a quarter as strong as the others."""
+def arm(published: float) -> mujoco.MjModel:
+    """Four joints in a row whose model has rotors; the last servo is a quarter as strong, and alone may have dry friction [N m]."""
     spec = mujoco.MjSpec()
     body = spec.worldbody
     for joint, gain in zip(JOINTS, (400.0, 400.0, 400.0, 100.0), strict=True):
         body = body.add_body(name=joint, pos=[0.2, 0.0, 0.0])
         body.add_geom(size=[0.03, 0.0, 0.0], mass=0.5)
-        body.add_joint(name=joint, axis=[0, 1, 0], armature=0.1)
+        body.add_joint(name=joint, axis=[0, 1, 0], armature=0.1, frictionloss=published if joint == "d" else 0.0)
         motor = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT, forcerange=[-200, 200])
         motor.set_to_position(kp=gain, kv=10.0)
     return spec.compile()
 
 
 @pytest.mark.parametrize(
-    ("friction", "named"),
+    ("friction", "published", "named"),
     [
-        ((6.0, 5.0, 4.0, 1.2), []),  # what the model lacks on all of them is no news on one
-        ((6.0, 0.3, 0.2, 0.1), ["a"]),
-        ((6.0, 5.0, 0.2, 0.1), ["a", "b"]),  # two of four
+        ((6.0, 5.0, 4.0, 1.2), 0.0, []),  # what the model lacks on all of them is no news on one
+        ((6.0, 0.3, 0.2, 0.1), 0.0, ["a"]),
+        ((6.0, 5.0, 0.2, 0.1), 0.0, ["a", "b"]),  # two of four
+        ((6.0, 5.0, 4.0, 1.2), 1.2, ["a", "b", "c"]),  # a model that has some says that the others have none
     ],
 )
 def test_dry_friction_that_is_published_nowhere_is_strange_only_where_others_have_little(
-    friction: tuple[float, ...], named: list[str]
+    friction: tuple[float, ...], published: float, named: list[str]
 ) -> None:
-    model, coulomb = arm(), load("effects", "coulomb", Effect)
+    model, coulomb = arm(published), load("effects", "coulomb", Effect)
     places = [Placement(coulomb, (joint,)) for joint in JOINTS]
     values = {place.full_name("torque"): value for place, value in zip(places, friction, strict=True)}
     robot = SimpleNamespace(model=model, joints=JOINTS, published=SimpleNamespace(model=model))

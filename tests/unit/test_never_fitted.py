@@ -77,6 +77,15 @@ def test_motions_never_fitted_contradict_a_name_that_follows_only_what_was_fitte
     assert contradicted(monkeypatch, left, *errors, fit_of(1.1, 1.1)) is refuted
 
 
+@pytest.mark.parametrize(("fitted", "refuted"), [(1.1, True), (4.0, False)])
+def test_what_a_name_leaves_on_its_joint_in_the_fit_is_no_news_on_motions_never_fitted(
+    monkeypatch: pytest.MonkeyPatch, fitted: float, refuted: bool
+) -> None:
+    """The mean over many joints, here 1.2 floors, says less than what is left on the one."""
+    before, after = np.full((3, 2), 8.0), np.array([[5.0, 1.0]] * 3)
+    assert contradicted(monkeypatch, 1.2, before, after, fit_of(fitted, 8.9)) is refuted
+
+
 @pytest.mark.parametrize(("own", "refuted"), [(0, False), (1, True)])
 def test_a_joint_that_a_name_is_not_about_says_nothing_of_it(monkeypatch: pytest.MonkeyPatch, own: int, refuted: bool) -> None:
     """A spring on one joint was right, and another joint's servo reached its limit in one motion never fitted alone."""
