@@ -42,7 +42,7 @@ def left_out_errors(problem: Problem, fit: Fit) -> Float[np.ndarray, "M"]:
     kept = [fold[fit.objective.owner] != one for one in range(fold.max() + 1)]
     without = np.array([fit.space.from_unit(np.clip(fit.unit + step_from(fit, rows), 0.0, 1.0)) for rows in kept])
     simulated = rollout_each(fit.objective.simulated, without[fold], windows, problem.settings.threads)
-    errors = np.array([_mean_square(s, w.measured, problem.counted) for s, w in zip(simulated, windows, strict=True)])
+    errors = np.array([mean_squares(s, w.measured, problem.counted).mean() for s, w in zip(simulated, windows, strict=True)])
     return errors if errors.mean() <= (ASTRAY * fit.rms) ** 2 else _left_out_carefully(fit, fold)
 
 
@@ -62,9 +62,12 @@ def _left_out_carefully(fit: Fit, fold: np.ndarray) -> Float[np.ndarray, "M"]:
     return out
 
 
-def _mean_square(simulated: np.ndarray, measured: np.ndarray, counted: np.ndarray) -> float:
+def mean_squares(
+    simulated: Float[np.ndarray, "T R"], measured: Float[np.ndarray, "T R"], counted: np.ndarray
+) -> Float[np.ndarray, "J"]:
+    """Mean squared error [rad^2] of each joint that counts, (J,), by a mask over the R recorded ones; the first row is given."""
     residual = np.nan_to_num((simulated - measured)[1:, counted], nan=UNSTABLE_RESIDUAL)
-    return float(np.mean(residual**2))
+    return (residual**2).mean(axis=0)
 
 
 def bootstrap(gain: Float[np.ndarray, "M"], seed: int) -> tuple[float, float]:

@@ -4,9 +4,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from edream.diagnosis.descent import Fit
-from edream.diagnosis.left_out import REAL_GAP, is_borne_out, is_clear, is_real, joint_errors
+from edream.diagnosis.left_out import is_borne_out, is_clear, is_real, joint_errors, mean_squares
 from edream.diagnosis.problem import Problem
-from edream.sim.objective import UNSTABLE_RESIDUAL, rms
+from edream.sim.objective import rms
 from edream.sim.rollout import rollout_each
 
 AT_THE_FLOOR = 1.2  # floors of error that are still called agreement
@@ -19,8 +19,7 @@ MOST = 0.9  # of the squared error: so much of it is nearly all
 def proof_squares(problem: Problem, fit: Fit) -> Float[np.ndarray, "K J"]:
     """Mean squared error [rad^2] of each joint that counts in each motion that was never fitted, (K, J)."""
     pairs = zip(_replays(problem, fit), problem.proof, strict=True)
-    residuals = (np.nan_to_num((s - w.measured)[1:, problem.counted], nan=UNSTABLE_RESIDUAL) for s, w in pairs)
-    return np.array([(one**2).mean(axis=0) for one in residuals])
+    return np.array([mean_squares(s, w.measured, problem.counted) for s, w in pairs])
 
 
 def proof_errors(problem: Problem, fit: Fit) -> Float[np.ndarray, "K"]:
@@ -82,7 +81,7 @@ def agreement(problem: Problem, squares: Float[np.ndarray, "K J"]) -> str:
     if squares.mean() <= (AT_THE_FLOOR * problem.floor) ** 2:
         return "Your simulator agrees with these recordings down to their noise; nothing is missing that they could show."
     left = on_others(problem, squares)
-    if squares.mean() > (REAL_GAP * problem.floor) ** 2:
+    if is_real(problem, squares):
         misses = f"Your simulator meets the motions that it was fitted to, but misses others: {left}."
         return f"{misses} What is missing, if anything, does not show in the former; more motions may show it."
     return f"Your simulator nearly agrees with these recordings: {left}. That is too little to say what is missing, if anything is."
