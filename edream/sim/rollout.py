@@ -1,9 +1,6 @@
 """The one door into MuJoCo: open-loop replay of recorded commands under many parameter sets at once."""
 
-import logging
-import threading
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -16,6 +13,7 @@ from edream.core.effect import MEASURED_SUFFIX, MOTOR_SUFFIX, joint_index
 from edream.sim.followers import Followers
 from edream.sim.hooks import batch_hooks
 from edream.sim.mass import HAND_WEIGHT
+from edream.sim.quiet import quiet
 from edream.sim.rotor import has_rotor, wind_up
 from edream.sim.servo import geared_readings
 from edream.sim.simulation import SimulatedRobot, write_fields
@@ -34,8 +32,6 @@ from edream.sim.window import Window
 
 CHUNK = 100
 FEW = 64  # simulations
-log = logging.getLogger(__name__)
-_quiet, _quietened = threading.Lock(), []  # what MuJoCo called before, then one entry a simulation
 BatchHook = Callable[[batch.Batch], Callable[[], None]]
 
 
@@ -83,32 +79,12 @@ def _run(
     order = np.argsort([-window.times[-1] for window in windows], kind="stable")
     ordered = [windows[i] for i in order]
     replay = _Replay(simulated, values[order], ordered, threads, hook)
-    with unstable_is_a_result():
+    with quiet():
         results = replay.run()
     out: list[np.ndarray] = [results[0]] * len(windows)
     for place, result in zip(order, results, strict=True):
         out[place] = result
     return out
-
-
-@contextmanager
-def unstable_is_a_result() -> Iterator[None]:
-    """MuJoCo neither prints nor writes a log file when a simulation becomes unstable: a search tries such numbers, too.
-
-    Where several threads simulate, the last of them puts back what was there before the first.
-    """
-    with _quiet:
-        if not _quietened:
-            _quietened.append(mujoco.get_mju_user_warning())
-            mujoco.set_mju_user_warning(log.debug)
-        _quietened.append(None)
-    try:
-        yield
-    finally:
-        with _quiet:
-            _quietened.pop()
-            if len(_quietened) == 1:
-                mujoco.set_mju_user_warning(_quietened.pop())
 
 
 class _Replay:

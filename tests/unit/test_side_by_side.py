@@ -12,7 +12,7 @@ from edream.diagnosis.problem import Problem
 from edream.diagnosis.screen import screen
 from edream.diagnosis.side_by_side import side_by_side
 from edream.diagnosis.trials import try_best
-from edream.sim.rollout import unstable_is_a_result
+from edream.sim.quiet import quiet
 
 
 def test_results_come_in_the_order_of_the_items_whichever_thread_is_first() -> None:
@@ -50,19 +50,27 @@ def test_a_search_finds_the_same_on_one_thread_and_on_two(problem: Problem, fit:
     assert found[0] == found[1] and len(found[0]) > 3
 
 
-def test_what_mujoco_warned_by_is_put_back_after_the_last_of_several_threads() -> None:
+def test_what_mujoco_warned_and_timed_by_is_put_back_after_the_last_of_several_threads() -> None:
     said: list[str] = []
     before = mujoco.get_mju_user_warning()
     mujoco.set_mju_user_warning(said.append)
     own = mujoco.get_mju_user_warning()
     both = threading.Barrier(2)
+    model = mujoco.MjModel.from_xml_string("<mujoco><worldbody><body><joint/><geom size='.1'/></body></worldbody></mujoco>")
+    data = [mujoco.MjData(model) for _ in range(3)]
 
-    def work(item: int) -> None:
-        with unstable_is_a_result():
+    def seconds(number: int) -> float:
+        mujoco.mj_step(model, data[number], 50)
+        return float(data[number].timer[mujoco.mjtTimer.mjTIMER_STEP].duration)
+
+    def work(item: int) -> float:
+        with quiet():
             both.wait(30.0)
+            return seconds(item)
 
     try:
-        list(side_by_side(work, [0, 1], threads=2))
+        assert list(side_by_side(work, [0, 1], threads=2)) == [0.0, 0.0]
         assert mujoco.get_mju_user_warning() is own
+        assert seconds(2) > 0.0
     finally:
         mujoco.set_mju_user_warning(before)
