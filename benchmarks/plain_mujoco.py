@@ -2,6 +2,8 @@
 
 python -m benchmarks.plain_mujoco MODEL.xml OUT [--hide load:joint_2:0.15] [--seed 2] [--friction 2.5] [--armature 0.15]
 
+What is hidden is a torque on a joint, a number of the model that is no usual one, or what becomes of a joint's commands on their way.
+
 Gains, dampings, frictions and rotors are 25 % below to 30 % above what the model says, or what `--friction` [N m] and `--armature`
 [kg m^2] say of the strongest servo where it has none; 0.2 mrad of noise. OUT gets `data`, one CSV a motion, and `truth.txt`. Then:
 edream diagnose robot.mjcf=MODEL.xml data=OUT/data
@@ -38,6 +40,44 @@ EFFECTS: dict[str, Callable[..., Law]] = {
     # amplitude [N m], frequency [Hz]
     "wind": lambda size, hertz: lambda d, q, v: size * np.sin(6.2832 * hertz * d.time),
 }
+
+CHANGES: dict[str, Callable[..., None]] = {
+    # mass [kg] more on the body that the joint moves
+    "payload": lambda model, joint, mass: _add(model.body_mass, model.jnt_bodyid[joint], mass),
+    # torque [N m] that the joint's servo gives at most
+    "limit": lambda model, joint, torque: _limit(model, joint, torque),
+    # angle [rad] by which the base leans about its x axis
+    "tilt": lambda model, joint, angle: _lean(model, angle),
+}
+WAYS: dict[str, Callable[..., Callable[[np.ndarray], np.ndarray]]] = {
+    # seconds by which commands come late
+    "delay": lambda seconds: lambda u: np.concatenate([np.repeat(u[:1], late := round(seconds / STEP)), u[: len(u) - late]]),
+    # speed [rad/s] at which a setpoint moves at most
+    "slew": lambda speed: lambda u: _followed(u, lambda gap: np.clip(gap, -speed * STEP, speed * STEP)),
+    # time constant [s] of a low pass
+    "lag": lambda seconds: lambda u: _followed(u, lambda gap: gap * STEP / (seconds + STEP)),
+}
+
+
+def _add(numbers: np.ndarray, place: int, more: float) -> None:
+    numbers[place] += more
+
+
+def _limit(model: mujoco.MjModel, joint: int, torque: float) -> None:
+    servo = int(np.flatnonzero(model.actuator_trnid[:, 0] == joint)[0])
+    model.actuator_forcelimited[servo], model.actuator_forcerange[servo] = 1, (-torque, torque)
+
+
+def _lean(model: mujoco.MjModel, angle: float) -> None:
+    size = -model.opt.gravity[2]
+    model.opt.gravity[:] = 0.0, size * np.sin(angle), -size * np.cos(angle)
+
+
+def _followed(u: np.ndarray, move: Callable[[float], float]) -> np.ndarray:
+    out = u.copy()
+    for i in range(1, len(u)):
+        out[i] = out[i - 1] + move(u[i] - out[i - 1])
+    return out
 
 
 def changed(model: mujoco.MjModel, rng: np.random.Generator, friction: float, armature: float) -> list[str]:
@@ -83,21 +123,35 @@ def commands(rng: np.random.Generator, home: np.ndarray, reach: np.ndarray) -> t
     return t, u
 
 
-def hidden(model: mujoco.MjModel, told: str) -> Callable[[mujoco.MjData], None]:
-    """What puts a hidden torque on its joint before each step; ValueError where `told` is no EFFECT:JOINT:NUMBERS of the model."""
+def hidden(model: mujoco.MjModel, told: str) -> tuple[Callable[[mujoco.MjData], None], Callable[[np.ndarray], np.ndarray]]:
+    """What puts a hidden torque on its joint before each step, and what becomes of commands on their way, (steps, J).
+
+    Another model is changed in place. ValueError where `told` is no EFFECT:JOINT:NUMBERS of the model.
+    """
     effect, name, *numbers = told.split(":") if ":" in told else (told, "")
-    joints = [model.joint(i).name for i in range(model.njnt)]
-    if effect not in EFFECTS or name not in joints:
-        raise ValueError(f"expected EFFECT:JOINT:NUMBERS, of {', '.join(EFFECTS)} and of {', '.join(joints)}")
-    if len(numbers) != (count := EFFECTS[effect].__code__.co_argcount):
+    joints, known = [model.joint(i).name for i in range(model.njnt)], EFFECTS | CHANGES | WAYS
+    if effect not in known or name not in joints:
+        raise ValueError(f"expected EFFECT:JOINT:NUMBERS, of {', '.join(known)} and of {', '.join(joints)}")
+    if len(numbers) != (count := known[effect].__code__.co_argcount - 2 * (effect in CHANGES)):
         raise ValueError(f"{len(numbers)} numbers; {effect} takes {count}")
-    joint, law = model.joint(name), EFFECTS[effect](*map(float, numbers))
+    joint, values = model.joint(name), [float(number) for number in numbers]
     q, v = joint.qposadr[0], joint.dofadr[0]
+    law = EFFECTS[effect](*values) if effect in EFFECTS else lambda d, q, v: 0.0
+    if effect in CHANGES:
+        CHANGES[effect](model, joint.id, *values)
 
     def push(data: mujoco.MjData) -> None:
         data.qfrc_applied[v] = law(data, q, v)
 
-    return push
+    def way(u: np.ndarray) -> np.ndarray:
+        if effect not in WAYS:
+            return u
+        servo = int(np.flatnonzero(model.actuator_trnid[:, 0] == joint.id)[0])
+        out = u.copy()
+        out[:, servo] = WAYS[effect](*values)(u[:, servo])
+        return out
+
+    return push, way
 
 
 def room(model: mujoco.MjModel, joints: list, places: list[int]) -> tuple[np.ndarray, np.ndarray]:
@@ -109,20 +163,25 @@ def room(model: mujoco.MjModel, joints: list, places: list[int]) -> tuple[np.nda
 
 
 def played(
-    model: mujoco.MjModel, places: list[int], u: np.ndarray, rng: np.random.Generator, push: Callable[[mujoco.MjData], None]
+    model: mujoco.MjModel,
+    places: list[int],
+    u: np.ndarray,
+    rng: np.random.Generator,
+    push: Callable[[mujoco.MjData], None],
+    way: Callable[[np.ndarray], np.ndarray],
 ) -> np.ndarray:
     """Measured angles [rad] just before each command is given, (T, J)."""
-    data, rows = mujoco.MjData(model), []
+    data, rows, each = mujoco.MjData(model), [], round(PERIOD / STEP)
     data.qpos[places], data.ctrl[:] = u[0], u[0]
     for _ in range(SETTLING):
         mujoco.mj_step(model, data)
     data.time = 0
-    for command in u:
-        rows.append(data.qpos[places] + NOISE * rng.normal(size=model.nu))
+    for step, command in enumerate(way(np.repeat(u, each, axis=0))):
+        if step % each == 0:
+            rows.append(data.qpos[places] + NOISE * rng.normal(size=model.nu))
         data.ctrl[:] = command
-        for _ in range(round(PERIOD / STEP)):
-            push(data)
-            mujoco.mj_step(model, data)
+        push(data)
+        mujoco.mj_step(model, data)
     return np.array(rows)
 
 
@@ -138,7 +197,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("model", type=Path)
     parser.add_argument("out", type=Path)
-    parser.add_argument("--hide", help=f"EFFECT:JOINT:NUMBERS, of {', '.join(EFFECTS)}")
+    parser.add_argument("--hide", help=f"EFFECT:JOINT:NUMBERS, of {', '.join(EFFECTS | CHANGES | WAYS)}")
     for name, kind, default in (("seed", int, 1), ("motions", int, 12), ("friction", float, 0.0), ("armature", float, 0.0)):
         parser.add_argument(f"--{name}", type=kind, default=default)
     asked = parser.parse_args()
@@ -146,7 +205,7 @@ def main() -> None:
     if other := [model.actuator(a).name for a in range(model.nu) if model.actuator_trntype[a] != mujoco.mjtTrn.mjTRN_JOINT]:
         parser.error(f"{asked.model}: {', '.join(other)} drive no joint; expected a servo for each joint, take others out")
     try:
-        push = hidden(model, asked.hide) if asked.hide else lambda data: None
+        push, way = hidden(model, asked.hide) if asked.hide else (lambda data: None, lambda u: u)
     except ValueError as error:
         parser.error(f"--hide {asked.hide}: {error}")
     model.opt.timestep = STEP
@@ -160,7 +219,7 @@ def main() -> None:
     for i in range(asked.motions):
         rng = np.random.default_rng(asked.seed * 1000 + i)
         t, u = commands(rng, home, reach)
-        rows = np.column_stack([t, u, played(model, places, u, rng, push)])
+        rows = np.column_stack([t, u, played(model, places, u, rng, push, way)])
         write_motion(asked.out / "data", i, [one.name for one in joints], rows)
 
 
