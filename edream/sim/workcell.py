@@ -14,6 +14,7 @@ from edream.core.policy import Conditions, Observation, Outcome, StartNoise, Wor
 from edream.core.task import Layout, Scene, Task, Thing, pinched
 from edream.sim.eyes import DECOR, PARTS, PROXIES, Eyes, Images, furnish_views
 from edream.sim.open_loop import load_hook
+from edream.sim.quiet import quiet
 from edream.sim.robot import RobotModel
 
 SETTLE = 0.4  # the robot rests at its first command before a trial begins [s]
@@ -137,14 +138,14 @@ class SimulatedWorkcell(World):
 
     def _run(self, command: np.ndarray, steps: int) -> None:
         self.data.ctrl[self._ctrl] = command
-        if self._hook is None:
-            mujoco.mj_step(self.model, self.data, steps)
+        with quiet():
+            if self._hook is None:
+                mujoco.mj_step(self.model, self.data, steps)
+            else:
+                for _ in range(steps):
+                    self._hook(self.model, self.data)
+                    mujoco.mj_step(self.model, self.data)
             mujoco.mj_fwdPosition(self.model, self.data)
-            return
-        for _ in range(steps):
-            self._hook(self.model, self.data)
-            mujoco.mj_step(self.model, self.data)
-        mujoco.mj_fwdPosition(self.model, self.data)
 
     def _observe(self) -> Observation:
         joints = self.data.qpos[self._qpos].copy() if self._measured is None else self.data.sensordata[self._measured].copy()
