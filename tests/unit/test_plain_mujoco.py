@@ -62,7 +62,7 @@ def test_a_delay_is_as_long_as_it_says() -> None:
 
 @pytest.mark.parametrize("told", ["spring", "sprung:joint2:1:2", "spring:knee:1:2", "spring:joint2:1", "limit:joint2:1:2"])
 def test_what_cannot_be_hidden_is_said(told: str) -> None:
-    with pytest.raises(ValueError, match="expected EFFECT|numbers"):
+    with pytest.raises(ValueError, match=r"expected EFFECT|numbers"):
         plain_mujoco.hidden(mujoco.MjModel.from_xml_path(str(ARM)), told)
 
 
