@@ -141,6 +141,13 @@ class Effect(ABC):
         """
         return True
 
+    def on_link(self, model: mujoco.MjModel, values: Mapping[str, float], link: str, other: str) -> dict[str, float] | None:
+        """Quantity -> value with which it does from another link what it does from one, with the joints as the model has them.
+
+        None where it acts on no link.
+        """
+        return None
+
     def edit(self, spec: mujoco.MjSpec, target: str) -> None:  # noqa: B027 - most effects need no structure
         """Add the structure that `write` fills, once, before compilation, for one target."""
 

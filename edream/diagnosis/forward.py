@@ -16,6 +16,7 @@ from edream.diagnosis.finer import finest
 from edream.diagnosis.instead import doubted_instead
 from edream.diagnosis.left_out import asks_for_more, bootstrap, falls_short, is_material, leaves_no_gap
 from edream.diagnosis.narrowing import narrowed
+from edream.diagnosis.outwards import outermost
 from edream.diagnosis.problem import Problem
 from edream.diagnosis.remainder import Remainder, find_remainder
 from edream.diagnosis.steps import with_short_steps
@@ -85,7 +86,9 @@ def forward(
         if taken is not None:
             there = [t for t in passing if t.candidate.targets == taken.candidate.targets and t.candidate != taken.candidate]
             taken, ended = finest(problem, fit, errors, taken, ended, there)
-            trials = sorted([taken, *(t for t in trials if t.candidate != taken.candidate)], key=lambda t: -t.closed)
+            taken, ended, same = outermost(problem, errors, taken, ended)
+            others = [t for t in trials if t.candidate not in same | {taken.candidate}]
+            trials = sorted([taken, *others], key=lambda t: -t.closed)
         rounds.append(Round(fit, errors, scored, trials, taken))
         if taken is None:
             break

@@ -56,6 +56,14 @@ class Payload(Effect):
     def is_usual(self, values: Mapping[str, float]) -> bool:
         return values["mass"] > 0.0
 
+    def on_link(self, model: mujoco.MjModel, values: Mapping[str, float], link: str, other: str) -> dict[str, float]:
+        data = mujoco.MjData(model)
+        mujoco.mj_kinematics(model, data)
+        before, after = data.body(link), data.body(other)
+        point = before.xpos + before.xmat.reshape(3, 3) @ [values[axis] for axis in "xyz"]
+        there = after.xmat.reshape(3, 3).T @ (point - after.xpos)
+        return {"mass": values["mass"], **dict(zip("xyz", map(float, there), strict=True))}
+
     def write(self, fields: Fields, target: str, values: Values) -> None:
         add_mass(fields, fields.model.body(target).id, values["mass"], np.stack([values[axis] for axis in "xyz"], axis=1))
 
