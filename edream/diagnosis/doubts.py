@@ -5,12 +5,13 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
+from jaxtyping import Float
 
 from edream.diagnosis.backward import refitted_without, without
 from edream.diagnosis.candidates import Candidate, placement
 from edream.diagnosis.decide import ALIKE, Round, meets_as_well, rivals
 from edream.diagnosis.descent import Fit, begin, descend, polish
-from edream.diagnosis.left_out import left_out_errors
+from edream.diagnosis.left_out import HALF, gap_above_floor, left_out_errors
 from edream.diagnosis.nearest import ARRIVING
 from edream.diagnosis.problem import Problem
 from edream.diagnosis.screen import extend
@@ -37,18 +38,35 @@ def doubtful(problem: Problem, own: Round, trial: Trial, named: Sequence[Candida
     ]
 
 
-def asked_again(problem: Problem, fit: Fit, rounds: Sequence[Round], trials: Sequence[Trial]) -> tuple[list[Trial], list[Round]]:
+def asked_again(
+    problem: Problem, fit: Fit, rounds: Sequence[Round], trials: Sequence[Trial], left: Float[np.ndarray, "M"]
+) -> tuple[list[Trial], list[Round]]:
     """The names and their rounds; what a name was not told from before others were known is put in its place beside these.
 
     A base that leans and a spring moved a joint alike as long as its dead zone was missing. The last name's rivals stood beside
-    all others already.
+    all others already, and are asked again only where its own search has gone far since: a payload half-way to its end did no
+    better than a spring, and left nothing there.
+
+    Args:
+        problem: robot, motions and settings.
+        fit: with all names.
+        rounds: that took them.
+        trials: the names.
+        left: errors on motions left out [rad^2], (M,), beside all names.
     """
     names, out, named = list(trials), list(rounds), [t.candidate for t in trials]
-    for place, trial in enumerate(names[:-1]):
+    for place, trial in enumerate(names):
+        if place == len(names) - 1 and not has_gone_far(problem, trial.errors, left):
+            continue
         number = next(i for i, one in enumerate(out) if one.taken is trial)
         if others := doubtful(problem, out[number], trial, named):
             out[number], names[place] = held_against(problem, fit, out[number], trial, others)
     return names, out
+
+
+def has_gone_far(problem: Problem, errors: Float[np.ndarray, "M"], left: Float[np.ndarray, "M"]) -> bool:
+    """Whether what is left on motions left out [rad^2], (M,), is less than half of what was when a name was judged."""
+    return gap_above_floor(problem, left) < HALF * gap_above_floor(problem, errors)
 
 
 def held_against(

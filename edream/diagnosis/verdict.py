@@ -140,7 +140,7 @@ def diagnose(problem: Problem, done: Callable[[str, int], object] = lambda text,
     ladder += [(label, np.sqrt(proof_errors(problem, one))) for label, one in told]
     found = what_stands(problem, before, fit, rounds)
     found = behind_numbers(problem, found, rounds[0].errors, done)
-    trials, heard = asked_again(problem, found.fit, found.heard, found.trials)
+    trials, heard = asked_again(problem, found.fit, found.heard, found.trials, found.left)
     found = replace(found, trials=trials, heard=heard)
     done("asking doubts again", 1)
     effects, also = named_effects(problem, found)

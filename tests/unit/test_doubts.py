@@ -54,10 +54,33 @@ def test_a_rival_stays_one_only_where_it_does_as_well_beside_the_other_names(
     monkeypatch.setattr(doubts, "refitted_without", lambda problem, fit, name: fit)
     monkeypatch.setattr(doubts, "left_out_errors", lambda problem, fit: np.full(8, 20.0))
     fit = SimpleNamespace(rms=1.0, unit=np.zeros(3))
-    again, after = doubts.asked_again(PROBLEM, fit, rounds, names)  # type: ignore[arg-type]
+    again, after = doubts.asked_again(PROBLEM, fit, rounds, names, names[-1].errors)  # type: ignore[arg-type]
     assert tried == ["spring"] and [one.candidate for one in again] == named
     assert [one.candidate.effect for one in doubts.doubtful(PROBLEM, after[0], again[0], named)] == doubts_left
     assert after[1] is rounds[1] and again[1] is names[1], "the last name's rivals stood beside all others"
+
+
+@pytest.mark.parametrize(("left", "beside", "doubts_left"), [(2.0, 9.0, []), (2.0, 2.0, ["spring"]), (9.0, 9.0, ["spring"])])
+def test_rivals_of_the_last_name_are_asked_again_where_its_search_has_gone_far_since(
+    monkeypatch: pytest.MonkeyPatch, rounds: list[Round], left: float, beside: float, doubts_left: list[str]
+) -> None:
+    """A name that left 12 half-way and leaves 2 at its end stood beside a rival half-way, too; one that leaves 9 did not."""
+    only, name = rounds[0], rounds[0].taken
+    assert name is not None
+    fit, ends = SimpleNamespace(rms=1.0), {"gravity_tilt": left, "spring": beside}
+    monkeypatch.setattr(doubts, "in_place", lambda problem, fit, name, rival, behind: fit)
+    monkeypatch.setattr(
+        doubts,
+        "judged",
+        lambda problem, fit, errors, one: replace(
+            one, errors=np.full(8, ends[one.candidate.effect]), closed=(27.0 - ends[one.candidate.effect]) / 26.0
+        ),
+    )
+    monkeypatch.setattr(doubts, "refitted_without", lambda problem, fit, name: fit)
+    monkeypatch.setattr(doubts, "left_out_errors", lambda problem, fit: np.full(8, 27.0))
+    again, after = doubts.asked_again(PROBLEM, fit, [only], [name], np.full(8, left))  # type: ignore[arg-type]
+    assert (after[0] is only) == (left == 9.0)
+    assert [one.candidate.effect for one in doubts.doubtful(PROBLEM, after[0], again[0], [name.candidate])] == doubts_left
 
 
 def test_a_rival_in_the_place_of_a_name_begins_beside_the_other_names_and_ends_where_it_can() -> None:
