@@ -8,10 +8,13 @@ from jaxtyping import Float
 
 from edream.catalog import load
 from edream.core.effect import Effect
+from edream.diagnosis.candidates import placement
 from edream.diagnosis.descent import Fit, begin, descend
-from edream.diagnosis.left_out import bootstrap, gap_above_floor, leaves_no_gap, left_out_errors
+from edream.diagnosis.left_out import HALF, SEEN, bootstrap, gap_above_floor, joint_errors, leaves_no_gap, left_out_errors
 from edream.diagnosis.problem import Problem
+from edream.diagnosis.screen import extend
 from edream.diagnosis.trials import Trial, on_few
+from edream.sim.objective import rms
 
 FRICTION = "coulomb"
 FIRST, FURTHER = 4, 6  # steps on a few motions, and on all
@@ -57,6 +60,34 @@ def is_far_ahead(found: Creeping, problem: Problem, errors: Float[np.ndarray, "M
     """
     closed = float(errors.mean() - found.errors.mean()) / gap_above_floor(problem, errors)
     return all(t.closed < FAR * closed for t in trials)
+
+
+def is_missing_beside(found: Creeping, problem: Problem, trials: Sequence[Trial]) -> bool:
+    """Whether friction that creeps is missing on most joints beside the best effect: both leave less than half of what either does.
+
+    What most joints have is how a robot is made, and stands in for no effect on one of them. Without it every effect is judged by
+    what it leaves.
+    """
+    best = max((t for t in trials if t.sure), key=lambda t: t.closed, default=None)
+    if best is None:
+        return False
+    both = _beside(found, best)
+    alone = min(gap_above_floor(problem, errors) for errors in (best.errors, found.errors))
+    if gap_above_floor(problem, left_out_errors(found.problem, both)) >= HALF * alone:
+        return False
+    before, after = (joint_errors(problem, fit) ** 2 - problem.floor**2 for fit in (best.fit, both))
+    return float(np.mean((before > SEEN * problem.floor**2) & (after < HALF * before))) > HALF
+
+
+def _beside(found: Creeping, best: Trial) -> Fit:
+    """An effect beside friction that creeps, from the numbers of either alone that are nearer with both."""
+    place = placement(found.problem, best.candidate)
+    extended, absent = extend(found.fit, [place])
+    space, ended = extended.simulated.space, best.fit.space.mapping(best.fit.values)
+    own = {parameter.name for parameter in place.parameters(found.problem.robot.model)}
+    starts = [[ended.get(n, v) if n in names else v for n, v in zip(space.names, absent, strict=True)] for names in (own, ended)]
+    nearest = int(np.argmin([rms(residual) for residual in extended.residuals(np.array(starts))]))
+    return descend(begin(extended, np.clip(space.to_unit(np.array(starts[nearest])), 0.0, 1.0)), None, FURTHER)
 
 
 def _softened(fit: Fit, start: Fit, form: Effect, steps: int) -> Fit:

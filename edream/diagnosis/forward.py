@@ -8,7 +8,7 @@ from jaxtyping import Float
 from edream.diagnosis.astray import screen_twice
 from edream.diagnosis.backward import nearer_without, passes, stands
 from edream.diagnosis.candidates import untouched
-from edream.diagnosis.creep import creeping, is_far_ahead, outdoes
+from edream.diagnosis.creep import creeping, is_far_ahead, is_missing_beside, outdoes
 from edream.diagnosis.decide import Round, restarted, settled, simplest, simplified, told_apart, with_confusable
 from edream.diagnosis.descent import Fit, polish
 from edream.diagnosis.ends import arrived
@@ -60,7 +60,7 @@ def forward(
             fit = nearer  # so much nearer that this ends
             continue
         softer = creeping(problem, fit, errors)
-        if softer is not None and is_far_ahead(softer, problem, errors, trials):
+        if softer is not None and (is_far_ahead(softer, problem, errors, trials) or is_missing_beside(softer, problem, trials)):
             problem, fit = softer.problem, softer.fit
             continue
         if not rounds:  # later ones begin at numbers that make up for less

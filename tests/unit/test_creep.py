@@ -1,6 +1,8 @@
 """Dry friction that lets a stuck joint creep: its law in MuJoCo, and when a diagnosis makes it a usual number."""
 
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -9,12 +11,15 @@ import pytest
 import edream
 from edream import catalog
 from edream.core.effect import Effect
-from edream.diagnosis.creep import FAR, Creeping, creeping, is_far_ahead, outdoes
+from edream.diagnosis import creep
+from edream.diagnosis.candidates import Candidate
+from edream.diagnosis.creep import FAR, Creeping, creeping, is_far_ahead, is_missing_beside, outdoes
 from edream.diagnosis.evidence import evidence
 from edream.diagnosis.left_out import leaves_no_gap
 from edream.diagnosis.nuisance import fit_nuisance
 from edream.diagnosis.problem import Settings, prepare
-from edream.diagnosis.trials import Trial, predicted
+from edream.diagnosis.screen import Scored
+from edream.diagnosis.trials import Trial, predicted, refit
 from edream.diagnosis.verdict import diagnose
 from edream.reality.truth import Truth, draw
 from edream.sim.emit import emit
@@ -92,3 +97,36 @@ def test_friction_that_creeps_is_taken_before_any_search_where_no_effect_comes_n
     floor = np.full(2, problem.floor**2)
     trials = [Trial(None, 1.0, None, floor, one, False) for one in closed]
     assert is_far_ahead(Creeping(problem, None, floor), problem, 9.0 * floor, trials) is ahead
+
+
+def test_friction_that_creeps_on_all_joints_is_missing_beside_an_effect_that_does_more() -> None:
+    truth = smooth(0.03, ("parallel_spring",))
+    weak = replace(truth.effects[0], values=truth.effects[0].values | {"stiffness": 0.2})
+    problem = prepare(HEAD, episodes_of(HEAD, replace(truth, effects=(weak,)), 4), Settings(threads=1))
+    fit = fit_nuisance(problem)
+    errors = predicted(problem, fit, None)
+    found = creeping(problem, fit, errors)
+    spring = Scored(Candidate("spring", ("tilt",)), {"stiffness": 1.0, "reference": 0.0}, 0.5)
+    assert found is not None
+    assert is_missing_beside(found, problem, [refit(problem, fit, errors, spring)])
+    assert not is_missing_beside(found, problem, [])
+
+
+@pytest.mark.parametrize(
+    ("left", "joints", "missing"),
+    [
+        (1.5, [1.1, 1.2, 1.1], True),
+        (3.0, [1.1, 1.2, 1.1], False),  # together they leave nearly what the better one does
+        (1.5, [1.1, 3.9, 3.9], False),  # one joint alone creeps: that may be an effect on it
+    ],
+)
+def test_friction_that_creeps_is_missing_where_most_joints_say_so(
+    monkeypatch: pytest.MonkeyPatch, left: float, joints: list[float], missing: bool
+) -> None:
+    problem, alone, both = SimpleNamespace(floor=1.0), SimpleNamespace(), SimpleNamespace()
+    monkeypatch.setattr(creep, "_beside", lambda found, best: both)
+    monkeypatch.setattr(creep, "left_out_errors", lambda problem, fit: np.full(6, left**2))
+    monkeypatch.setattr(creep, "joint_errors", lambda problem, fit: np.array(joints if fit is both else [4.0, 4.0, 4.0]))
+    found = Creeping(problem, None, np.full(6, 3.5**2))  # type: ignore[arg-type]
+    best = Trial(None, 1.0, alone, np.full(6, 3.2**2), 0.5, True)  # type: ignore[arg-type]
+    assert is_missing_beside(found, problem, [best, replace(best, closed=0.9, sure=False)]) is missing  # type: ignore[arg-type]

@@ -61,9 +61,7 @@ BOOM, FLANGE = Candidate("payload", ("boom",)), Candidate("payload", ("flange",)
         ("boom", {"x": 0.20, "y": 0.06, "z": 0.05}, BOOM),  # beside it: from the flange it would turn with it
     ],
 )
-def test_a_mass_is_on_the_outermost_link_from_which_it_does_the_same(
-    hung: str, place: dict[str, float], said: Candidate
-) -> None:
+def test_a_mass_is_on_the_outermost_link_from_which_it_does_the_same(hung: str, place: dict[str, float], said: Candidate) -> None:
     truth = draw(ROBOT, ["payload"], np.random.default_rng(2), 0.1, (hung,))
     truth = replace(truth, effects=(replace(truth.effects[0], values={"mass": 0.3, **place}),))
     problem = prepare(ROBOT, episodes_of(ROBOT, truth, 5, 5, 5.0), Settings(threads=1))
