@@ -11,7 +11,6 @@ import pytest
 import edream
 from edream import catalog
 from edream.core.effect import Effect
-from edream.diagnosis import creep
 from edream.diagnosis.candidates import Candidate
 from edream.diagnosis.creep import FAR, Creeping, creeping, is_far_ahead, is_missing_beside, outdoes
 from edream.diagnosis.evidence import evidence
@@ -124,9 +123,11 @@ def test_friction_that_creeps_is_missing_where_most_joints_say_so(
     monkeypatch: pytest.MonkeyPatch, left: float, joints: list[float], missing: bool
 ) -> None:
     problem, alone, both = SimpleNamespace(floor=1.0), SimpleNamespace(), SimpleNamespace()
-    monkeypatch.setattr(creep, "_beside", lambda found, best: both)
-    monkeypatch.setattr(creep, "left_out_errors", lambda problem, fit: np.full(6, left**2))
-    monkeypatch.setattr(creep, "joint_errors", lambda problem, fit: np.array(joints if fit is both else [4.0, 4.0, 4.0]))
+    monkeypatch.setattr("edream.diagnosis.creep._beside", lambda found, best: both)
+    monkeypatch.setattr("edream.diagnosis.creep.left_out_errors", lambda problem, fit: np.full(6, left**2))
+    monkeypatch.setattr(
+        "edream.diagnosis.creep.joint_errors", lambda problem, fit: np.array(joints if fit is both else [4.0, 4.0, 4.0])
+    )
     found = Creeping(problem, None, np.full(6, 3.5**2))  # type: ignore[arg-type]
     best = Trial(None, 1.0, alone, np.full(6, 3.2**2), 0.5, True)  # type: ignore[arg-type]
     assert is_missing_beside(found, problem, [best, replace(best, closed=0.9, sure=False)]) is missing  # type: ignore[arg-type]
