@@ -10,10 +10,10 @@ from edream.catalog import load
 from edream.core.effect import Effect
 from edream.diagnosis.candidates import placement
 from edream.diagnosis.descent import Fit, begin, descend
-from edream.diagnosis.left_out import HALF, SEEN, bootstrap, gap_above_floor, joint_errors, leaves_no_gap, left_out_errors
+from edream.diagnosis.left_out import HALF, SEEN, bootstrap, gap_above_floor, leaves_no_gap, left_out_errors
 from edream.diagnosis.problem import Problem
 from edream.diagnosis.screen import extend
-from edream.diagnosis.trials import Trial, on_few
+from edream.diagnosis.trials import Trial, on_few, residual_among
 from edream.sim.objective import rms
 
 FRICTION = "coulomb"
@@ -71,18 +71,20 @@ def is_missing_beside(found: Creeping, problem: Problem, trials: Sequence[Trial]
     best = max((t for t in trials if t.sure), key=lambda t: t.closed, default=None)
     if best is None:
         return False
-    both = _beside(found, best)
-    alone = min(gap_above_floor(problem, errors) for errors in (best.errors, found.errors))
-    if gap_above_floor(problem, left_out_errors(found.problem, both)) >= HALF * alone:
+    few = on_few(found.problem, found.fit)
+    by_effect, by_both = (
+        (residual.reshape(-1, len(problem.joints)) ** 2).mean(axis=0) - problem.floor**2
+        for residual in (residual_among(few, best.fit), _beside(found, few, best).residual)
+    )
+    if by_both.mean() >= HALF * min(by_effect.mean(), few.rms**2 - problem.floor**2):
         return False
-    before, after = (joint_errors(problem, fit) ** 2 - problem.floor**2 for fit in (best.fit, both))
-    return float(np.mean((before > SEEN * problem.floor**2) & (after < HALF * before))) > HALF
+    return float(np.mean((by_effect > SEEN * problem.floor**2) & (by_both < HALF * by_effect))) > HALF
 
 
-def _beside(found: Creeping, best: Trial) -> Fit:
-    """An effect beside friction that creeps, from the numbers of either alone that are nearer with both."""
+def _beside(found: Creeping, few: Fit, best: Trial) -> Fit:
+    """An effect beside friction that creeps on a few motions, from the numbers of either alone that are nearer with both."""
     place = placement(found.problem, best.candidate)
-    extended, absent = extend(found.fit, [place])
+    extended, absent = extend(few, [place])
     space, ended = extended.simulated.space, best.fit.space.mapping(best.fit.values)
     own = {parameter.name for parameter in place.parameters(found.problem.robot.model)}
     starts = [[ended.get(n, v) if n in names else v for n, v in zip(space.names, absent, strict=True)] for names in (own, ended)]

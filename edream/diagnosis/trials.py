@@ -149,10 +149,15 @@ def on_few(problem: Problem, fit: Fit) -> Fit:
     return thinned(fit, 2.0 * ENOUGH) if is_small(fit) else lightened(problem, fit)
 
 
-def rms_among(few: Fit, fit: Fit) -> float:
-    """The error [rad] of a larger model, as it was fitted, on the motions and in the steps of `few`."""
+def residual_among(few: Fit, fit: Fit) -> Float[np.ndarray, "R"]:
+    """The residual [rad] of another model, as it was fitted, on the motions and in the steps of `few`."""
     simulated = few.objective.simulated.with_placements(fit.objective.simulated.placements)
-    return rms(replace(few.objective, simulated=simulated, simulations=0).residuals(fit.values)[0])
+    return replace(few.objective, simulated=simulated, simulations=0).residuals(fit.values)[0]
+
+
+def rms_among(few: Fit, fit: Fit) -> float:
+    """The error [rad] of another model, as it was fitted, on the motions and in the steps of `few`."""
+    return rms(residual_among(few, fit))
 
 
 def gone_on(fit: Fit, near: Fit, joints: frozenset[str] = frozenset()) -> Fit:

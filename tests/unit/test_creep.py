@@ -114,20 +114,23 @@ def test_friction_that_creeps_on_all_joints_is_missing_beside_an_effect_that_doe
 @pytest.mark.parametrize(
     ("left", "joints", "missing"),
     [
-        (1.5, [1.1, 1.2, 1.1], True),
+        (1.0, [1.1, 1.2, 1.1], True),
         (3.0, [1.1, 1.2, 1.1], False),  # together they leave nearly what the better one does
-        (1.5, [1.1, 3.9, 3.9], False),  # one joint alone creeps: that may be an effect on it
+        (1.0, [0.5, 3.0, 3.0], False),  # one joint alone creeps: that may be an effect on it
     ],
 )
 def test_friction_that_creeps_is_missing_where_most_joints_say_so(
     monkeypatch: pytest.MonkeyPatch, left: float, joints: list[float], missing: bool
 ) -> None:
-    problem, alone, both = SimpleNamespace(floor=1.0), SimpleNamespace(), SimpleNamespace()
-    monkeypatch.setattr("edream.diagnosis.creep._beside", lambda found, best: both)
-    monkeypatch.setattr("edream.diagnosis.creep.left_out_errors", lambda problem, fit: np.full(6, left**2))
-    monkeypatch.setattr(
-        "edream.diagnosis.creep.joint_errors", lambda problem, fit: np.array(joints if fit is both else [4.0, 4.0, 4.0])
-    )
-    found = Creeping(problem, None, np.full(6, 3.5**2))  # type: ignore[arg-type]
-    best = Trial(None, 1.0, alone, np.full(6, 3.2**2), 0.5, True)  # type: ignore[arg-type]
+    problem = SimpleNamespace(floor=1.0, joints=("a", "b", "c"))
+
+    def residual(errors: list[float]) -> np.ndarray:
+        return np.tile(errors, (5, 1)).ravel()
+
+    both = SimpleNamespace(residual=residual([left * error for error in joints]))
+    monkeypatch.setattr("edream.diagnosis.creep.on_few", lambda problem, fit: SimpleNamespace(rms=3.5))
+    monkeypatch.setattr("edream.diagnosis.creep._beside", lambda found, few, best: both)
+    monkeypatch.setattr("edream.diagnosis.creep.residual_among", lambda few, fit: residual([4.0, 4.0, 4.0]))
+    found = Creeping(problem, None, np.zeros(6))  # type: ignore[arg-type]
+    best = Trial(None, 1.0, None, np.zeros(6), 0.5, True)  # type: ignore[arg-type]
     assert is_missing_beside(found, problem, [best, replace(best, closed=0.9, sure=False)]) is missing  # type: ignore[arg-type]
