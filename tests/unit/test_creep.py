@@ -100,7 +100,7 @@ def test_friction_that_creeps_is_taken_before_any_search_where_no_effect_comes_n
 
 def test_friction_that_creeps_on_all_joints_is_missing_beside_an_effect_that_does_more() -> None:
     truth = smooth(0.03, ("parallel_spring",))
-    weak = replace(truth.effects[0], values=truth.effects[0].values | {"stiffness": 0.2})
+    weak = replace(truth.effects[0], values=truth.effects[0].values | {"stiffness": 0.1})
     problem = prepare(HEAD, episodes_of(HEAD, replace(truth, effects=(weak,)), 4), Settings(threads=1))
     fit = fit_nuisance(problem)
     errors = predicted(problem, fit, None)
