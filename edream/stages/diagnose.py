@@ -152,4 +152,4 @@ def summary(found: Diagnosis, bundle: Mapping[str, Any], more: str) -> dict[str,
     }
 
 
-ENTRY = Stage("diagnose", 159, ("ingest",), DiagnoseConfig, run, sources, ("mujoco", "numpy", "scipy"))
+ENTRY = Stage("diagnose", 158, ("ingest",), DiagnoseConfig, run, sources, ("mujoco", "numpy", "scipy"))
