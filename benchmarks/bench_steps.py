@@ -5,7 +5,7 @@
 The bare loop is `mujoco.rollout` (a C++ thread pool around mj_step) with the commands laid out beforehand. The sweep simulates as
 many windows of the same length under as many parameter sets, and includes everything that it does for its table: fields per
 simulation, commands at their own times, restarts at measured states, sampling at measured times. Both are timed in turn, several
-times, and the medians are compared.
+times, and the medians are compared. Neither runs MuJoCo's stopwatch.
 """
 
 import argparse
@@ -22,6 +22,7 @@ from edream import config
 from edream.calibration.settings import RobotSettings, SpaceSettings, simulated_robot
 from edream.calibration.windows import simulate
 from edream.core.episode import Episode
+from edream.sim.quiet import quiet
 from edream.sim.window import Window
 
 
@@ -82,7 +83,8 @@ def loop(model: mujoco.MjModel, windows: list[Window], sets: int, steps: int, th
         rows = np.minimum((np.arange(steps) * model.opt.timestep / 0.02).astype(int), len(one.times) - 1)
         states += [full] * sets
         control += [one.episode.command[rows]] * sets
-    return bare.rollout(model, data, np.array(states), np.array(control), nstep=steps)[0]
+    with quiet():
+        return bare.rollout(model, data, np.array(states), np.array(control), nstep=steps)[0]
 
 
 def timed(work: Callable[[], object]) -> tuple[float, float]:

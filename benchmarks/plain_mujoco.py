@@ -46,12 +46,12 @@ CHANGES: dict[str, Callable[..., None]] = {
     "payload": lambda model, joint, mass: _add(model.body_mass, model.jnt_bodyid[joint], mass),
     # torque [N m] that the joint's servo gives at most
     "limit": lambda model, joint, torque: _limit(model, joint, torque),
-    # angle [rad] by which the base leans about its x axis
+    # angle [rad] by which the base leans about its x axis, whichever joint is named
     "tilt": lambda model, joint, angle: _lean(model, angle),
 }
 WAYS: dict[str, Callable[..., Callable[[np.ndarray], np.ndarray]]] = {
     # seconds by which commands come late
-    "delay": lambda seconds: lambda u: np.concatenate([np.repeat(u[:1], late := round(seconds / STEP)), u[: len(u) - late]]),
+    "delay": lambda seconds: lambda u: u[np.maximum(np.arange(len(u)) - round(seconds / STEP), 0)],
     # speed [rad/s] at which a setpoint moves at most
     "slew": lambda speed: lambda u: _followed(u, lambda gap: np.clip(gap, -speed * STEP, speed * STEP)),
     # time constant [s] of a low pass
@@ -63,8 +63,16 @@ def _add(numbers: np.ndarray, place: int, more: float) -> None:
     numbers[place] += more
 
 
+def _servo(model: mujoco.MjModel, joint: int) -> int:
+    """The number of the servo that drives a joint; ValueError where none does."""
+    servos = np.flatnonzero(model.actuator_trnid[:, 0] == joint)
+    if not len(servos):
+        raise ValueError(f"no servo drives {model.joint(joint).name}; expected one of a joint that is driven")
+    return int(servos[0])
+
+
 def _limit(model: mujoco.MjModel, joint: int, torque: float) -> None:
-    servo = int(np.flatnonzero(model.actuator_trnid[:, 0] == joint)[0])
+    servo = _servo(model, joint)
     model.actuator_forcelimited[servo], model.actuator_forcerange[servo] = 1, (-torque, torque)
 
 
@@ -143,10 +151,11 @@ def hidden(model: mujoco.MjModel, told: str) -> tuple[Callable[[mujoco.MjData], 
     def push(data: mujoco.MjData) -> None:
         data.qfrc_applied[v] = law(data, q, v)
 
+    if effect not in WAYS:
+        return push, lambda u: u
+    servo = _servo(model, joint.id)
+
     def way(u: np.ndarray) -> np.ndarray:
-        if effect not in WAYS:
-            return u
-        servo = int(np.flatnonzero(model.actuator_trnid[:, 0] == joint.id)[0])
         out = u.copy()
         out[:, servo] = WAYS[effect](*values)(u[:, servo])
         return out
@@ -210,7 +219,6 @@ def main() -> None:
         parser.error(f"--hide {asked.hide}: {error}")
     model.opt.timestep = STEP
     told = changed(model, np.random.default_rng(asked.seed), asked.friction, asked.armature)
-    mujoco.mj_setConst(model, mujoco.MjData(model))
     joints = [model.joint(model.actuator_trnid[a, 0]) for a in range(model.nu)]
     places = [int(one.qposadr[0]) for one in joints]
     home, reach = room(model, joints, places)

@@ -10,14 +10,17 @@ from edream.catalog import load
 from edream.core.effect import Effect
 from edream.diagnosis.candidates import placement
 from edream.diagnosis.descent import Fit, begin, descend
-from edream.diagnosis.left_out import HALF, SEEN, bootstrap, gap_above_floor, leaves_no_gap, left_out_errors
+from edream.diagnosis.left_out import SEEN, bootstrap, gap_above_floor, leaves_no_gap, left_out_errors
 from edream.diagnosis.problem import Problem
 from edream.diagnosis.screen import extend
+from edream.diagnosis.starts import beside_either
 from edream.diagnosis.trials import Trial, on_few, residual_among
 from edream.sim.objective import rms
 
 FRICTION = "coulomb"
 FIRST, FURTHER = 4, 6  # steps on a few motions, and on all
+TOGETHER = 0.5  # of the squared error above the floor that an effect or creeping leaves, on all joints and on one
+MOST = 0.5  # of the joints: on more than that it is how a robot is made
 FAR = 0.5  # of what creeping closes: an effect that closes less by its first refit is searched for beside friction that creeps
 
 
@@ -76,9 +79,9 @@ def is_missing_beside(found: Creeping, problem: Problem, trials: Sequence[Trial]
         (residual.reshape(-1, len(problem.joints)) ** 2).mean(axis=0) - problem.floor**2
         for residual in (residual_among(few, best.fit), _beside(found, few, best).residual)
     )
-    if by_both.mean() >= HALF * min(by_effect.mean(), few.rms**2 - problem.floor**2):
+    if by_both.mean() >= TOGETHER * min(by_effect.mean(), few.rms**2 - problem.floor**2):
         return False
-    return float(np.mean((by_effect > SEEN * problem.floor**2) & (by_both < HALF * by_effect))) > HALF
+    return float(np.mean((by_effect > SEEN * problem.floor**2) & (by_both < TOGETHER * by_effect))) > MOST
 
 
 def _beside(found: Creeping, few: Fit, best: Trial) -> Fit:
@@ -86,10 +89,9 @@ def _beside(found: Creeping, few: Fit, best: Trial) -> Fit:
     place = placement(found.problem, best.candidate)
     extended, absent = extend(few, [place])
     space, ended = extended.simulated.space, best.fit.space.mapping(best.fit.values)
-    own = {parameter.name for parameter in place.parameters(found.problem.robot.model)}
-    starts = [[ended.get(n, v) if n in names else v for n, v in zip(space.names, absent, strict=True)] for names in (own, ended)]
+    starts = beside_either(found.problem, place, extended, absent, ended)
     nearest = int(np.argmin([rms(residual) for residual in extended.residuals(np.array(starts))]))
-    return descend(begin(extended, np.clip(space.to_unit(np.array(starts[nearest])), 0.0, 1.0)), None, FURTHER)
+    return descend(begin(extended, np.clip(space.to_unit(starts[nearest]), 0.0, 1.0)), None, FURTHER)
 
 
 def _softened(fit: Fit, start: Fit, form: Effect, steps: int) -> Fit:

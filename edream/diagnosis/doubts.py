@@ -16,7 +16,7 @@ from edream.diagnosis.nearest import ARRIVING
 from edream.diagnosis.problem import Problem
 from edream.diagnosis.screen import extend
 from edream.diagnosis.side_by_side import side_by_side
-from edream.diagnosis.starts import in_all_strengths
+from edream.diagnosis.starts import beside_either, in_all_strengths
 from edream.diagnosis.trials import Trial, is_another, judged, on_few
 from edream.sim.objective import rms
 
@@ -101,10 +101,8 @@ def in_place(problem: Problem, fit: Fit, name: Candidate, rival: Trial, behind: 
     extended, absent = extend(bare, [place])
     few, _ = extend(on_few(problem, bare), [place])
     space, ended = extended.simulated.space, rival.fit.space.mapping(rival.fit.values)
-    own = {parameter.name for parameter in place.parameters(problem.robot.model)}
-    beside_these = np.array([ended.get(n, v) if n in own else v for n, v in zip(space.names, absent, strict=True)])
-    beside_its_own = np.array([ended.get(n, v) for n, v in zip(space.names, absent, strict=True)])
-    starts = np.array([beside_these, beside_its_own, *in_all_strengths(problem, place, extended, absent)])
+    either = beside_either(problem, place, extended, absent, ended)
+    starts = np.array([*either, *in_all_strengths(problem, place, extended, absent)])
     nearest = np.argsort([rms(r) for r in few.residuals(starts)])[:STARTS]
     ends = [descend(begin(few, np.clip(space.to_unit(starts[i]), 0.0, 1.0)), None, ARRIVING) for i in nearest]
     end = begin(extended, min(ends, key=lambda end: end.rms).unit)

@@ -20,7 +20,7 @@ NEAR = 2.0  # of it, where its place comes from the inner link, that is known th
 def outermost(
     problem: Problem, errors: Float[np.ndarray, "M"], taken: Trial, ended: Fit
 ) -> tuple[Trial, Fit, frozenset[Candidate]]:
-    """An effect on a link, on the outermost one from which it does the same, and where else it would.
+    """An effect on a link, taken to the outermost one from which it does the same.
 
     A tool stands on the axis of the flange that turns it, where its weight pulls as if it hung on the link before.
 
@@ -28,6 +28,9 @@ def outermost(
         problem: robot, motions and settings.
         errors: on motions left out [rad^2], (M,), without the effect.
         taken: the effect, its search at `ended`.
+
+    Returns:
+        The effect as it is taken, the end of its search, and the links further in from which it would do the same, as candidates.
     """
     passed = set[Candidate]()
     while (found := _further_out(problem, errors, taken, ended)) is not None:

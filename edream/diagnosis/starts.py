@@ -85,6 +85,18 @@ def strong_probes(problem: Problem, place: Placement, strength: float = STRONG) 
     return [one for i, one in enumerate(scaled) if one is not None and one not in scaled[:i]]
 
 
+def beside_either(
+    problem: Problem, place: Placement, extended: Objective, absent: Float[np.ndarray, "P"], ended: Mapping[str, float]
+) -> list[Float[np.ndarray, "P"]]:
+    """An effect with the numbers that it ended with elsewhere, beside usual numbers as they are here, and as they were there, (P,).
+
+    `ended`: full parameter name -> value there.
+    """
+    own = {parameter.name for parameter in place.parameters(problem.robot.model)}
+    names = extended.simulated.space.names
+    return [np.array([ended.get(n, v) if n in of else v for n, v in zip(names, absent, strict=True)]) for of in (own, ended)]
+
+
 def with_column(fit: Fit, extended: Objective, start: Float[np.ndarray, "P"], fresh: Bool[np.ndarray, "P"] | None = None) -> Fit:
     """The fit at a larger model's starting point: columns in `fresh`, the candidate's at least, are differenced, others kept."""
     space = extended.simulated.space

@@ -58,6 +58,14 @@ def test_a_delay_is_as_long_as_it_says() -> None:
     steps = np.arange(100.0)
     late = plain_mujoco.WAYS["delay"](0.01)(steps)
     assert len(late) == 100 and np.array_equal(late[20:], steps[:80]) and not late[:20].any()
+    assert not plain_mujoco.WAYS["delay"](1.0)(steps).any(), "longer than the motion"
+
+
+@pytest.mark.parametrize("told", ["limit:wheel:1", "lag:wheel:0.1"])
+def test_a_joint_that_no_servo_drives_has_no_limit_and_no_commands(told: str) -> None:
+    body = "<body><joint name='wheel'/><geom size='.1'/></body>"
+    with pytest.raises(ValueError, match=r"no servo drives wheel"):
+        plain_mujoco.hidden(mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{body}</worldbody></mujoco>"), told)
 
 
 @pytest.mark.parametrize("told", ["spring", "sprung:joint2:1:2", "spring:knee:1:2", "spring:joint2:1", "limit:joint2:1:2"])
