@@ -4,7 +4,6 @@ import copy
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from fnmatch import fnmatchcase
 from functools import cached_property
 
 import mujoco
@@ -14,7 +13,8 @@ from jaxtyping import Float
 from edream.catalog import load
 from edream.core.effect import Effect
 from edream.core.episode import Episode
-from edream.core.errors import EdreamError, unknown_name
+from edream.core.errors import EdreamError
+from edream.diagnosis.kept_back import drawn, named
 from edream.sim.robot import RobotModel, joint_groups
 from edream.sim.simulation import USUAL, Placement, Scaling
 from edream.sim.touch import kept_clear
@@ -45,7 +45,7 @@ class Settings:
         joints: joints whose error counts, or empty for all.
         until: seconds of each motion that are used, or None for all.
         seconds: so many seconds of motion are fitted in all, one stretch of each motion; the proof replays whole motions.
-        proof: share of the motions that is kept for the proof and never fitted.
+        proof: share of the motions that is kept for the proof and never fitted; see `kept_back.drawn`.
         holdout: names or patterns of motions kept for the proof, instead of a share.
         stride: every how many measurements one counts.
         model_floor: disagreement [rad] that two correct simulators may have, by their integration.
@@ -146,7 +146,7 @@ def prepare(robot: RobotModel, episodes: Sequence[Episode], settings: Settings) 
         robot.joint_index(name)
     counted = np.array([not settings.joints or joint in settings.joints for joint in joints])
     windows = motions(episodes, settings)
-    kept = _proof_names([w.episode.name for w in windows], settings)
+    kept = named(windows, settings.holdout) if settings.holdout else drawn(windows, counted, settings.proof, settings.seed)
     return Problem(
         robot=replace(kept_clear(robot, episodes), timed=True),
         settings=settings,
@@ -191,20 +191,6 @@ def shortened(windows: Sequence[Window], settings: Settings) -> list[Window]:
         last = int(np.searchsorted(times, times[first] + share, side="right")) - 1
         out.append(window if times[-1] <= share else Window(window.episode, window.first + first, window.first + last))
     return out
-
-
-def _proof_names(names: Sequence[str], settings: Settings) -> set[str]:
-    if settings.holdout:
-        for pattern in settings.holdout:
-            if not any(fnmatchcase(name, pattern) for name in names):
-                raise unknown_name("motion for diagnose.holdout", pattern, names)
-        kept = {name for name in names if any(fnmatchcase(name, pattern) for pattern in settings.holdout)}
-        if len(names) - len(kept) < 3:
-            raise EdreamError(f"diagnose.holdout keeps {len(kept)} of {len(names)} motions; expected at least 3 to be left to fit.")
-        return kept
-    count = max(1, round(settings.proof * len(names)))
-    order = np.random.default_rng([settings.seed, 7]).permutation(len(names))
-    return {sorted(names)[i] for i in order[:count]}
 
 
 def measurement_noise(episodes: Sequence[Episode]) -> Float[np.ndarray, "J"]:

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from edream.catalog import load
 from edream.core.effect import Effect
-from edream.diagnosis.another_way import by_another_way
+from edream.diagnosis.alone import explained, off_on, searched
 from edream.diagnosis.backward import backward, refitted_without, stands, still_standing
 from edream.diagnosis.candidates import Candidate, placement, standing
 from edream.diagnosis.decide import Round
@@ -16,7 +16,6 @@ from edream.diagnosis.descent import Fit, polish, with_true_slopes
 from edream.diagnosis.doubts import asked_again, doubtful, others_of
 from edream.diagnosis.exchange import exchanged
 from edream.diagnosis.finer import with_plain
-from edream.diagnosis.forward import forward
 from edream.diagnosis.left_out import (
     SEEN,
     SEEN_ORDINARY,
@@ -37,13 +36,13 @@ from edream.diagnosis.never_fitted import (
     still_off,
     unstable_on,
 )
-from edream.diagnosis.nuisance import fit_nuisance, published, with_shares
+from edream.diagnosis.nuisance import published
 from edream.diagnosis.problem import Problem, nuisance_placements
 from edream.diagnosis.remainder import Remainder, find_remainder
 from edream.diagnosis.steps import for_a_plain_loop, in_a_plain_loop
 from edream.diagnosis.suspects import Suspect, find_suspects, most_ordinary, what_stays, with_ordinary_numbers
 from edream.diagnosis.trials import Trial, is_another, judged, predicted
-from edream.diagnosis.wording import Verdict, contradicted, on_creep, on_steps, sentence, where_it_shows
+from edream.diagnosis.wording import Verdict, contradicted, on_creep, on_steps, on_the_odd_one, sentence, where_it_shows
 from edream.sim.objective import rms
 from edream.sim.robot import RobotModel
 
@@ -71,6 +70,7 @@ class Diagnosis:
         ladder: label of each step and the error [rad] on each never-fitted motion, (M,).
         remainder: what is left described by a formula, where it has no name.
         contenders: label and fit of each model that these motions cannot tell from another; empty where they can.
+        aside: motions that were set aside, since what they alone show nothing explains.
     """
 
     problem: Problem
@@ -88,6 +88,7 @@ class Diagnosis:
     ladder: Sequence[tuple[str, Float[np.ndarray, "M"]]]
     remainder: Remainder | None
     contenders: Sequence[tuple[str, Fit]]
+    aside: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,17 +129,14 @@ def diagnose(problem: Problem, done: Callable[[str, int], object] = lambda text,
     """
     plain = published(in_a_plain_loop(problem))
     start = Fit(plain, np.zeros(0), np.zeros(0), np.zeros((0, 0)), 1.0)
-    ladder, unstable = [("published", np.sqrt(proof_errors(problem, start)))], unstable_on(problem, start)
-    problem, before = with_shares(problem, fit_nuisance(problem))
-    done("nuisance", 1)
-    problem, fit, rounds = forward(problem, before, done)
-    problem, fit, rounds = by_another_way(problem, fit, rounds, done)
-    before = rounds[0].before
-    ladder.append(("calibrated", np.sqrt(proof_errors(problem, before))))
-    ladder += [(_label(one.taken), np.sqrt(proof_errors(problem, one.taken.fit))) for one in rounds if one.taken is not None]
-    fit, rounds, told = exchanged(problem, fit, rounds, lambda n: done("exchanging names", n))
-    ladder += [(label, np.sqrt(proof_errors(problem, one))) for label, one in told]
-    found = what_stands(problem, before, fit, rounds)
+    unstable = unstable_on(problem, start)
+    search = searched(problem, done)
+    problem, rounds = search.problem, search.rounds
+    steps = [("published", start), ("calibrated", rounds[0].before)]
+    steps += [(_label(one.taken.candidate), one.taken.fit) for one in rounds if one.taken is not None]
+    fit, rounds, told = exchanged(problem, search.fit, rounds, lambda n: done("exchanging names", n))
+    steps += told
+    found = what_stands(problem, rounds[0].before, fit, rounds)
     found = behind_numbers(problem, found, rounds[0].errors, done)
     trials, heard = asked_again(problem, found.fit, found.heard, found.trials, found.left)
     found = replace(found, trials=trials, heard=heard)
@@ -150,32 +148,41 @@ def diagnose(problem: Problem, done: Callable[[str, int], object] = lambda text,
     if remainder is not None:
         fit = remainder.fit
         effects = [one for one in effects if remainder.beside_names]
-        ladder.append(("remainder", np.sqrt(proof_errors(problem, fit))))
+        steps.append(("remainder", fit))
     elif also:
         if not trials:
-            ladder[1] = ("calibrated", np.sqrt(proof_errors(problem, found.before)))
+            steps[1] = ("calibrated", found.before)
         fit = found.ended
         more = f" and {len(also) - 1} more" if len(also) > 1 else ""
-        ladder.append((f"+ {also[0]}{more}", np.sqrt(proof_errors(problem, fit))))
+        steps.append((f"+ {also[0]}{more}", fit))
+    alone = explained(problem, fit, search.odd) if search.odd is not None and remainder is None else None
+    if alone is not None:
+        problem, fit, possible = alone.problem, alone.fit, alone.contenders or possible
+        steps.append((_label(Candidate(alone.named.name, alone.named.targets)), fit))
     written, fit = for_a_plain_loop(problem, fit)
     proof = proof_squares(problem, fit)
     after = np.sqrt(proof.mean(axis=1))
-    ladder[-1] = (ladder[-1][0], after)
+    ladder = [*((label, np.sqrt(proof_errors(problem, one))) for label, one in steps[:-1]), (steps[-1][0], after)]
     refuted = remainder is None and bool(trials) and is_contradicted(problem, found.left, found.before, found.fit, proof)
-    verdict = judge(effects, remainder, found.short or refuted)
-    if verdict == "none":
-        said = agreement(problem, proof)
-    elif refuted:
+    effects = [as_written(one, found.ended, fit) for one in effects]
+    effects += [as_written(alone.named, alone.fit, fit)] if alone is not None else []
+    verdict = judge(effects, remainder, found.short or refuted or (search.odd is not None and not effects))
+    if refuted:
         said = contradicted(effects, problem.robot.joints, on_others(problem, proof))
+    elif verdict == "none":
+        said = agreement(problem, proof)
     else:
-        shows = where_it_shows(problem, found.fit) if verdict == "unnamed" and remainder is None else ""
+        shows = where_it_shows(problem, found.fit) if found.short and remainder is None else ""
         said = sentence(verdict, effects, remainder, problem.robot.joints, shows) + still_off(problem, proof)
+    if search.odd is not None:
+        shown, confirmed = (None, False) if alone is None else (alone.named, alone.confirmed)
+        said += on_the_odd_one(search.odd.episode.name, shown, confirmed, *off_on(problem, fit, search.odd))
     return Diagnosis(
         problem=written,
         searched=problem.robot,
         verdict=verdict,
         sentence=said + on_creep(problem) + on_steps(problem, written, bool(unstable)),
-        effects=tuple(as_written(one, found.ended, fit) for one in effects),
+        effects=tuple(effects),
         before=found.before if effects or remainder else fit,  # with nothing added there is one calibrated model, not two
         after=fit,
         published_rms=rms(ladder[0][1]),
@@ -186,6 +193,7 @@ def diagnose(problem: Problem, done: Callable[[str, int], object] = lambda text,
         ladder=ladder,
         remainder=remainder,
         contenders=possible if verdict == "cannot_tell" else (),
+        aside=(search.odd.episode.name,) if search.odd is not None and alone is None else (),
     )
 
 
@@ -287,8 +295,8 @@ def contenders(found: Found, effects: Sequence[Named]) -> list[tuple[str, Fit]]:
     return []
 
 
-def _label(trial: Trial) -> str:
-    return f"+ {trial.candidate.label}"
+def _label(candidate: Candidate) -> str:
+    return f"+ {candidate.label}"
 
 
 def _named(problem: Problem, fit: Fit, trial: Trial, rounds: Sequence[Round], taken: Sequence[Trial]) -> Named:

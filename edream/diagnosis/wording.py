@@ -58,6 +58,19 @@ def on_creep(problem: Problem) -> str:
     return " Its dry friction does not hold a stuck joint, which creeps; so it does in model.xml." if problem.creep else ""
 
 
+def on_the_odd_one(motion: str, shown: Named | None, confirmed: bool, error: float, joint: str) -> str:
+    """What to say of a motion that was set aside, since a gap rested on it alone.
+
+    `shown` is what explains it, if anything does, and motions never fitted may confirm it; else it is so far off [rad], most on one
+    joint.
+    """
+    if shown is None:
+        off = f"it alone is {1e3 * error:.2g} mrad off, most on {joint}, which nothing that was tried explains"
+        return f" {motion} was set aside: {off}, and would bend what the others say."
+    others = "those never fitted confirm it" if confirmed else "no other motion confirms it; record more such motions"
+    return f" Of the fitted motions {motion} alone shows the {shown.name}; {others}."
+
+
 def where_it_shows(problem: Problem, fit: Fit) -> str:
     """Where what a model leaves shows most, and whether it swings there in time, as a sentence for the end of another one."""
     joint = worst_joint(problem, fit)

@@ -144,6 +144,7 @@ def summary(found: Diagnosis, bundle: Mapping[str, Any], more: str) -> dict[str,
         "motions": {
             "fitted": [window.episode.name for window in problem.fitted],
             "proof": [window.episode.name for window in problem.proof],
+            "set_aside": list(found.aside),
         },
         "model": "model.xml",
         "hook": HOOK if HOOK in bundle else None,
@@ -152,4 +153,4 @@ def summary(found: Diagnosis, bundle: Mapping[str, Any], more: str) -> dict[str,
     }
 
 
-ENTRY = Stage("diagnose", 158, ("ingest",), DiagnoseConfig, run, sources, ("mujoco", "numpy", "scipy"))
+ENTRY = Stage("diagnose", 161, ("ingest",), DiagnoseConfig, run, sources, ("mujoco", "numpy", "scipy"))
