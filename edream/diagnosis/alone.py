@@ -152,7 +152,7 @@ def explained(others: Problem, fit: Fit, odd: Window) -> Alone | None:
     effect = load("effects", candidate.effect, Effect)
     numbers = numbers_of(problem, end, standing(problem, candidate, end.objective.simulated))
     rivals = tuple(label for label, _ in possible[1:])
-    named = Named(effect.name, effect.summary, candidate.targets, *numbers, float("nan"), None, rivals)
+    named = Named(effect.name, effect.summary, candidate.targets, *numbers, float("nan"), None, rivals, odd.episode.name)
     confirmed = gain_on_others(problem, back, end) > seen(problem)
     return Alone(problem, end, named, possible if rivals else (), confirmed)
 

@@ -34,6 +34,7 @@ class Named:
         closed: share of the gap then remaining that it closed on left-out motions.
         runner_up: the next best candidate, and the share that it closed.
         confusable_with: candidates that these motions cannot tell from it.
+        motion: the one fitted motion that shows it, which no share of motions left out can be said of; None where others do, too.
     """
 
     name: str
@@ -45,6 +46,7 @@ class Named:
     closed: float
     runner_up: tuple[str, float] | None
     confusable_with: tuple[str, ...]
+    motion: str | None = None
 
 
 def numbers_of(

@@ -124,6 +124,7 @@ def summary(found: Diagnosis, bundle: Mapping[str, Any], more: str) -> dict[str,
                 "closed": None if one.closed != one.closed else one.closed,
                 "runner_up": None if one.runner_up is None else {"candidate": one.runner_up[0], "closed": one.runner_up[1]},
                 "confusable_with": list(one.confusable_with),
+                "motion": one.motion,
             }
             for one in found.effects
         ],
@@ -153,4 +154,4 @@ def summary(found: Diagnosis, bundle: Mapping[str, Any], more: str) -> dict[str,
     }
 
 
-ENTRY = Stage("diagnose", 161, ("ingest",), DiagnoseConfig, run, sources, ("mujoco", "numpy", "scipy"))
+ENTRY = Stage("diagnose", 162, ("ingest",), DiagnoseConfig, run, sources, ("mujoco", "numpy", "scipy"))

@@ -271,6 +271,18 @@ def test_every_verdict_has_a_page(verdict: str) -> None:
     assert not Reader(diagnosis_page(found, ingested(), "arm")).open
 
 
+def test_the_page_says_which_motion_alone_shows_an_effect_and_which_was_set_aside() -> None:
+    found = diagnosis()
+    assert "Set aside" not in diagnosis_page(found, ingested(), "arm")
+    found["summary.json"]["motions"]["set_aside"] = ["swing 3"]
+    found["summary.json"]["effects"] = [
+        {**one, "closed": None, "runner_up": None, "motion": "swing 1"} for one in found["summary.json"]["effects"]
+    ]
+    page = diagnosis_page(found, ingested(), "arm")
+    assert "Of the fitted motions swing 1 alone shows it." in page and "<p>Set aside: swing 3.</p>" in page
+    assert "A usual number, far from" not in page
+
+
 @pytest.mark.parametrize(("verdict", "heading"), [("named", "What is missing"), ("unnamed", "What comes nearest")])
 def test_what_is_no_answer_does_not_stand_under_what_is_missing(verdict: str, heading: str) -> None:
     found = diagnosis()
