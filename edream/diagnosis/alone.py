@@ -20,7 +20,7 @@ from edream.diagnosis.candidates import Candidate, acted_on, standing
 from edream.diagnosis.decide import DISTINCT, Round
 from edream.diagnosis.descent import Fit, begin, polish
 from edream.diagnosis.forward import forward
-from edream.diagnosis.left_out import REAL_GAP, is_clear, worst_joint
+from edream.diagnosis.left_out import CLEAR, REAL_GAP, is_clear, worst_joint
 from edream.diagnosis.naming import Named, numbers_of
 from edream.diagnosis.nearest import begun_in_all_strengths
 from edream.diagnosis.never_fitted import is_left, proof_errors
@@ -79,7 +79,8 @@ def searched(problem: Problem, done: Report = lambda text, n: None) -> Searched:
     """Names from the usual numbers on; without the motion on which most of a clear gap rests, where the others tell more then.
 
     They do where they have names, or agree with the simulator, and no formula explains that motion with them. Where nothing is
-    named, and all motions together do not bear a gap out, none is set aside.
+    named, and all motions together do not bear a gap out, none is set aside. What they tell may explain that motion as well: it is
+    among those never fitted then.
     """
     found = _from_usual_numbers(problem, done)
     number = rests_on_one(problem, found.rounds[-1].errors) if found.rounds[-1].taken is None else None
@@ -88,8 +89,11 @@ def searched(problem: Problem, done: Report = lambda text, n: None) -> Searched:
     odd = problem.fitted[number]
     others = replace(problem, fitted=tuple(window for window in problem.fitted if window is not odd))
     without = _from_usual_numbers(others, done)
-    worse = is_clear(others, without.rounds[-1].errors) or (has_names(found) and not has_names(without))
-    return found if worse else replace(without, odd=odd)
+    if is_clear(others, without.rounds[-1].errors) or (has_names(found) and not has_names(without)):
+        return found
+    if off_on(others, without.fit, odd)[0] > CLEAR * problem.floor:
+        return replace(without, odd=odd)
+    return replace(without, problem=replace(without.problem, proof=(*problem.proof, odd)))  # what the others tell explains it, too
 
 
 def has_names(found: Searched) -> bool:
@@ -134,7 +138,8 @@ def explained(others: Problem, fit: Fit, odd: Window) -> Alone | None:
     """
     problem = replace(others, fitted=(*others.fitted, odd))
     back = begin(replace(fit.objective, windows=problem.fitted, simulations=0), fit.unit)
-    begun = begun_in_all_strengths(problem, _on(back, odd), [(worst_joint(problem, back),)], in_all_strengths)
+    there = _on(back, odd)
+    begun = begun_in_all_strengths(problem, there, [(worst_joint(problem, there),)], in_all_strengths)
 
     def ended(pair: tuple[Fit, Scored]) -> tuple[Fit, Candidate]:
         near, candidate = pair[0], pair[1].candidate

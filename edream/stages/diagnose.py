@@ -145,8 +145,8 @@ def summary(found: Diagnosis, bundle: Mapping[str, Any], more: str) -> dict[str,
         "motions": {
             "fitted": [window.episode.name for window in problem.fitted],
             "proof": [window.episode.name for window in problem.proof],
-            "set_aside": list(found.aside),
-        },
+        }
+        | ({"set_aside": list(found.aside)} if found.aside else {}),
         "model": "model.xml",
         "hook": HOOK if HOOK in bundle else None,
         "next_motion": "next_motion.csv" if "next_motion.csv" in bundle else None,
@@ -154,4 +154,4 @@ def summary(found: Diagnosis, bundle: Mapping[str, Any], more: str) -> dict[str,
     }
 
 
-ENTRY = Stage("diagnose", 162, ("ingest",), DiagnoseConfig, run, sources, ("mujoco", "numpy", "scipy"))
+ENTRY = Stage("diagnose", 164, ("ingest",), DiagnoseConfig, run, sources, ("mujoco", "numpy", "scipy"))
