@@ -20,7 +20,7 @@ from edream.core.effect import Effect, State
 from edream.core.parameters import Parameter
 from edream.diagnosis.descent import Fit, descend
 from edream.diagnosis.few import thinned
-from edream.diagnosis.left_out import bootstrap, folds, is_real, left_out_errors, worst_joint
+from edream.diagnosis.left_out import bootstrap, folds, is_real, is_small, left_out_errors, worst_joint
 from edream.diagnosis.problem import Problem
 from edream.diagnosis.screen import Projection, extend
 from edream.diagnosis.starts import fresh_columns, with_column
@@ -32,6 +32,7 @@ from edream.sim.simulation import Placement
 NARROW, WIDE = 16, 5  # bumps over a joint's travel, of two widths
 MOST_TERMS = 8
 LOOKS = 3  # at most
+ARRIVING, NEARER = 8, 3  # steps of all numbers, of a model with few, and with many
 OPEN = 0.1  # of the squared gap above the floor: a formula that leaves less is not looked at again
 ENOUGH = 50.0  # s of motion on which terms are chosen
 SMALLEST_GAIN = 0.03  # share of the residual that a further term must explain
@@ -53,7 +54,10 @@ FEATURES = (
     "direction_time",
 )
 BUMPED = ("bump", "direction_bump", "speed_bump", "motor_bump")
+EDGED = ("over", "under", "speed_over", "speed_under")  # beyond a place: a stop, a cable that goes taut
 WAVES = ("sine", "cosine")
+DEEP = 0.03  # rad beyond an edge
+BESIDE = 0.15  # rad, in which an edge is refitted
 NEAR = 0.05  # Hz: half of what motions of ten seconds can tell apart, in which a frequency is refitted
 RECENT = (0.5, 2.0, 10.0)  # s, over which a joint's speed may be remembered: what warms up, or settles
 
@@ -90,6 +94,9 @@ def residual_torque(state: State, index: dict[str, int], values: Mapping[str, An
             shape = np.exp(-0.5 * ((q - values["centre_" + rest]) / values["width_" + rest]) ** 2)
             what = {"bump": 1.0, "direction_bump": direction, "speed_bump": v, "motor_bump": motor}[kind]
             torque = torque + coefficient * shape * what
+        elif kind in ("over", "under", "speed_over", "speed_under"):
+            beyond = q - values["edge_" + rest] if kind in ("over", "speed_over") else values["edge_" + rest] - q
+            torque = torque + coefficient * np.maximum(beyond, 0.0) * (v if kind.startswith("speed") else 1.0)
         elif kind in ("sine", "cosine"):
             phase = 2.0 * np.pi * values["frequency_" + rest] * state.time
             torque = torque + coefficient * (np.sin(phase) if kind == "sine" else np.cos(phase))
@@ -107,7 +114,7 @@ def residual_torque(state: State, index: dict[str, int], values: Mapping[str, An
 class ResidualTorque(Effect):
     """A sum of torque terms on one joint, each with its own coefficient; the terms are chosen per instance.
 
-    `shape` has centres and widths of bumps [rad], which stay, and frequencies of waves [Hz], which may be refitted.
+    `shape` has centres and widths of bumps [rad], which stay, and edges [rad] and frequencies of waves [Hz], which may be refitted.
     """
 
     name = "residual_torque"
@@ -132,12 +139,12 @@ class ResidualTorque(Effect):
 
 
 def _shaped(name: str, value: float) -> Parameter:
-    unit, away = ("Hz", NEAR) if _is_frequency(name) else ("rad", 1.0)
+    unit, away = ("Hz", NEAR) if name.startswith("frequency_") else ("rad", BESIDE if name.startswith("edge_") else 1.0)
     return Parameter(name, unit, value - away, value + away, value)
 
 
-def _is_frequency(name: str) -> bool:
-    return name.startswith("frequency_")
+def _is_refitted(name: str) -> bool:
+    return name.startswith(("frequency_", "edge_"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,15 +215,16 @@ def _longer(problem: Problem, fit: Fit, joint: str, found: Remainder | None) -> 
     if not chosen:
         return None
     terms = [*old, *(candidates[i] for i in chosen)]
-    places = {n.partition("_at_")[2] for n in terms if n.partition("_at_")[0] in (*BUMPED, *WAVES)}
+    places = {n.partition("_at_")[2] for n in terms if n.partition("_at_")[0] in (*BUMPED, *EDGED, *WAVES)}
     used = {key: value for key, value in shape.items() if key.partition("_")[2] in places}
-    held = {key: value for key, value in used.items() if not _is_frequency(key)}
+    held = {key: value for key, value in used.items() if not _is_refitted(key)}
     small = Placement(ResidualTorque(terms, _scales(problem, joint, terms), used), (joint,), fixed=held)
     begun, zero = extend(fit, [small])
     so_far = base.space.mapping(base.values)
     start = np.array([so_far.get(name, value) for name, value in zip(begun.simulated.space.names, zero, strict=True)])
     fresh = fresh_columns(fit, begun)
-    return descend(with_column(base, begun, start, fresh), fresh, iterations=6), small
+    near = descend(with_column(base, begun, start, fresh), fresh, iterations=6)
+    return descend(near, None, ARRIVING if is_small(fit) else NEARER), small  # usual numbers may have made up for most of it
 
 
 def _torque(placement: Placement) -> ResidualTorque:
@@ -235,12 +243,14 @@ def _candidates(problem: Problem, fit: Fit, joint: str) -> tuple[dict[str, float
         for centre in np.linspace(low, high, count):
             number = len(shape) // 2
             shape |= {f"centre_{number}": float(centre), f"width_{number}": width}
+    shape |= {f"edge_e{i}": float(edge) for i, edge in enumerate(np.linspace(low, high, NARROW))}
     waves = {f"wave{i}": frequency for i, frequency in enumerate(frequencies_in_step(problem, fit, joint))}
     shape |= {f"frequency_{name}": frequency for name, frequency in waves.items()}
     model = problem.robot.model
     others = [int(model.jnt_dofadr[model.joint(name).id]) for name in problem.joints if name != joint]
     names = list(FEATURES)
     names += [f"{kind}_at_{i}" for kind in BUMPED for i in range(NARROW + WIDE)]
+    names += [f"{kind}_at_e{i}" for kind in EDGED for i in range(NARROW)]
     names += [f"{kind}_at_{wave}" for kind in WAVES for wave in waves]
     crossed = ("other_angle", "direction_other", "other_speed", "speed_product", "speed_other")
     names += [f"{kind}_at_{dof}" for kind in crossed for dof in others]
@@ -253,6 +263,7 @@ def _scales(problem: Problem, joint: str, names: Sequence[str]) -> list[float]:
     load = max(torque_scale(problem.robot.model, joint), 1e-6)
     typical = {"load": load, "direction_load": load, "speed_load": load, "time": 10.0, "direction_time": 10.0}
     typical |= {"error": 0.05, "error_angle": 0.05, "error_drag": 0.05**2, "motor_bump": load}
+    typical |= dict.fromkeys(EDGED, DEEP)
     return [typical.get(name.partition("_at_")[0], 1.0) for name in names]
 
 
@@ -312,7 +323,7 @@ def _formula(fit: Fit, placement: Placement) -> str:
         for one in placement.parameters(fit.objective.simulated.robot.model)
     }
     shape = found | dict(placement.fixed or {})
-    terms = [f"{value:+.3g} {_words(quantity, shape)}" for quantity, value in found.items() if not _is_frequency(quantity)]
+    terms = [f"{value:+.3g} {_words(quantity, shape)}" for quantity, value in found.items() if not _is_refitted(quantity)]
     return "tau = " + " ".join(terms) + " N m"
 
 
@@ -329,6 +340,10 @@ def _words(quantity: str, shape: Mapping[str, float]) -> str:
         bump = f"bump(q at {shape['centre_' + rest]:.2f} rad, width {shape['width_' + rest]:.2f})"
         before = {"direction_bump": "sign(v) ", "speed_bump": "v ", "motor_bump": "motor "}.get(kind, "")
         return f"{before}{bump}"
+    if kind in EDGED:
+        place = shape["edge_" + rest]
+        beyond = f"max(q - {place:.3g}, 0)" if kind.endswith("over") else f"max({place:.3g} - q, 0)"
+        return f"v {beyond}" if kind.startswith("speed") else beyond
     if kind in WAVES:
         return f"{'sin' if kind == 'sine' else 'cos'}(2 pi {shape['frequency_' + rest]:.3g} Hz t)"
     if kind.endswith("recent"):
