@@ -9,6 +9,7 @@ import pytest
 
 from edream.core.parameters import targets_in
 from edream.diagnosis import decide, ends, forward, left_out, trials, verdict
+from edream.diagnosis.alone import Searched
 from edream.diagnosis.candidates import Candidate, placement
 from edream.diagnosis.nuisance import fit_nuisance
 from edream.diagnosis.problem import Settings, prepare
@@ -125,8 +126,6 @@ def _diagnosed(monkeypatch: pytest.MonkeyPatch, strange: verdict.Named, told: di
     """A diagnosis of which all is told; one usual number is strange in it, and no formula holds."""
     always = {
         "published": lambda problem: None,
-        "fit_nuisance": lambda problem: FitOf("usual", 1.0),
-        "with_shares": lambda problem, fit: (problem, fit),
         "strange_numbers": lambda problem, fit: [strange],
         "most_ordinary": lambda problem, fit: fit,
         "off_nominal": lambda problem, fit: [strange],
@@ -175,7 +174,7 @@ def test_strange_numbers_are_an_answer_only_where_nothing_is_left(
     nothing = decide.Round(FitOf("usual", 1.0), errors, [], [], None)
     told = {
         "proof_errors": lambda problem, fit: errors,
-        "forward": lambda problem, fit, done: (problem, fit, [nothing]),
+        "searched": lambda problem, done: Searched(problem, FitOf("usual", 1.0), [nothing]),  # type: ignore[arg-type]
         "backward": lambda problem, fit, candidates, first: (fit, []),
         "find_suspects": lambda problem, fit, strange, done: [spring] if behind else [],
         "does_better": lambda problem, fit, other, seen: behind is not None,
@@ -211,7 +210,7 @@ def test_behind_numbers_that_are_strange_beside_a_name_another_effect_is_looked_
     told = {
         "proof_errors": lambda problem, fit: np.full(4, 1e-6),
         "predicted": lambda problem, fit, taken: np.full(4, floors**2 * 1e-6),
-        "forward": lambda problem, fit, done: (problem, taken.fit, rounds),
+        "searched": lambda problem, done: Searched(problem, taken.fit, rounds),
         "backward": lambda problem, fit, candidates, first: (fit, candidates),
         "find_suspects": lambda problem, fit, strange, done: [spring] if behind else [],
         "what_stays": lambda problem, trials, suspects, first: (suspects, trials if stays else []),
