@@ -20,7 +20,7 @@ from edream.diagnosis.candidates import Candidate, acted_on, standing
 from edream.diagnosis.decide import DISTINCT, Round
 from edream.diagnosis.descent import Fit, begin, polish
 from edream.diagnosis.forward import forward
-from edream.diagnosis.left_out import CLEAR, REAL_GAP, is_clear, worst_joint
+from edream.diagnosis.left_out import CLEAR, REAL_GAP, is_clear, is_real, worst_joint
 from edream.diagnosis.naming import Named, numbers_of
 from edream.diagnosis.nearest import begun_in_all_strengths
 from edream.diagnosis.never_fitted import is_left, proof_errors
@@ -102,11 +102,9 @@ def has_names(found: Searched) -> bool:
 
 
 def has_formula(found: Searched) -> bool:
-    """Whether a formula explains what a search leaves, or did better than every candidate."""
-    if found.rounds[0].formula is not None:
-        return True
-    formula = find_remainder(found.problem, found.fit, beside_names=has_names(found))
-    return formula is not None and formula.real
+    """Whether a formula explains what a search leaves, so that no real gap is left."""
+    formula = found.rounds[0].formula or find_remainder(found.problem, found.fit, beside_names=has_names(found))
+    return formula is not None and formula.real and not is_real(found.problem, formula.errors)
 
 
 def bears_out(found: Searched) -> bool:

@@ -68,23 +68,25 @@ AGREE = (0.3, 0.3, 0.3, 0.3, 0.3)
 @pytest.mark.parametrize(
     ("at_first", "without", "formula", "borne_out", "aside"),
     [
-        (False, stand_in(*AGREE, named=True), False, True, True),
-        (False, stand_in(*AGREE), False, True, True),
-        (False, stand_in(*AGREE), False, False, False),  # where a servo just holds, or just not
-        (True, stand_in(*AGREE, named=True), False, False, True),
-        (True, stand_in(*AGREE), False, True, False),  # the name was known before
-        (False, stand_in(0.3, 3.0, 0.3, 3.0, 0.3), False, True, False),  # others have a gap of their own that has no name
-        (False, stand_in(*AGREE), True, True, False),
+        (False, stand_in(*AGREE, named=True), 0.0, True, True),
+        (False, stand_in(*AGREE), 0.0, True, True),
+        (False, stand_in(*AGREE), 0.0, False, False),  # where a servo just holds, or just not
+        (True, stand_in(*AGREE, named=True), 0.0, False, True),
+        (True, stand_in(*AGREE), 0.0, True, False),  # the name was known before
+        (False, stand_in(0.3, 3.0, 0.3, 3.0, 0.3), 0.0, True, False),  # others have a gap of their own that has no name
+        (False, stand_in(*AGREE), FLOOR, True, False),
+        (False, stand_in(*AGREE), 4.0 * FLOOR, True, True),  # a formula that leaves a gap explains nothing
     ],
 )
 def test_a_motion_is_set_aside_where_the_others_tell_more_without_it(
-    monkeypatch: pytest.MonkeyPatch, at_first: bool, without: Searched, formula: bool, borne_out: bool, aside: bool, off: float
+    monkeypatch: pytest.MonkeyPatch, at_first: bool, without: Searched, formula: float, borne_out: bool, aside: bool, off: float
 ) -> None:
     before = stand_in(0.3, 0.3, 0.3, 5.0, 0.3, 0.3, named=at_first)
     windows = tuple(SimpleNamespace(number=number) for number in range(6))
     monkeypatch.setattr(alone, "_from_usual_numbers", lambda problem, done: before if len(problem.fitted) == 6 else without)
     monkeypatch.setattr(alone, "replace", lambda one, **new: SimpleNamespace(**vars(one) | new))
-    monkeypatch.setattr(alone, "find_remainder", lambda *of, **how: SimpleNamespace(real=True) if formula else None)
+    described = SimpleNamespace(real=True, errors=np.full(6, formula**2)) if formula else None
+    monkeypatch.setattr(alone, "find_remainder", lambda *of, **how: described)
     monkeypatch.setattr(alone, "bears_out", lambda found: borne_out)
     monkeypatch.setattr(alone, "off_on", lambda *of: (off, "tilt"))
     problem: Any = SimpleNamespace(floor=FLOOR, fitted=windows, proof=("nod",))
