@@ -19,13 +19,14 @@ from edream.diagnosis.backward import stands
 from edream.diagnosis.candidates import Candidate, acted_on, standing
 from edream.diagnosis.decide import DISTINCT, Round
 from edream.diagnosis.descent import Fit, begin, polish
+from edream.diagnosis.few import on_motions
 from edream.diagnosis.forward import forward
-from edream.diagnosis.left_out import CLEAR, REAL_GAP, is_clear, is_real, worst_joint
+from edream.diagnosis.left_out import CLEAR, REAL_GAP, is_clear, is_real, least_seen, worst_joint
 from edream.diagnosis.naming import Named, numbers_of
 from edream.diagnosis.nearest import begun_in_all_strengths
 from edream.diagnosis.never_fitted import is_left, proof_errors
 from edream.diagnosis.nuisance import fit_nuisance, with_shares
-from edream.diagnosis.problem import VISIBLE, Problem
+from edream.diagnosis.problem import Problem
 from edream.diagnosis.remainder import find_remainder
 from edream.diagnosis.screen import Scored
 from edream.diagnosis.side_by_side import side_by_side
@@ -129,6 +130,8 @@ def rests_on_one(problem: Problem, errors: Float[np.ndarray, "M"]) -> int | None
 def explained(others: Problem, fit: Fit, odd: Window) -> Alone | None:
     """What explains the motion that was set aside beside what is known from the others; None where nothing brings it to the noise.
 
+    It is chosen by that motion; those never fitted may contradict it, or confirm it.
+
     Args:
         others: the problem without that motion.
         fit: all that is named there.
@@ -145,39 +148,31 @@ def explained(others: Problem, fit: Fit, odd: Window) -> Alone | None:
 
     ends = side_by_side(ended, begun, problem.settings.threads)
     explaining = sorted(
-        ((left_on(end, odd), end, one) for end, one in ends if brings_down(problem, back, end, one, odd)), key=lambda t: t[0]
+        ((left_on(end, odd), end, one) for end, one in ends if brings_down(problem, end, one, odd)), key=lambda t: t[0]
     )
     if not explaining:
         return None
     least, end, candidate = explaining[0]
+    gained, seen = gain_on_others(problem, back, end), least_seen(problem)
+    if gained < -seen:  # contradicted; which candidate it is they have no say in
+        return None
     told = DISTINCT * max(problem.floor**2, least)
     possible = [(one.label, other) for left, other, one in explaining if left - least <= told]
     effect = load("effects", candidate.effect, Effect)
     numbers = numbers_of(problem, end, standing(problem, candidate, end.objective.simulated))
     rivals = tuple(label for label, _ in possible[1:])
     named = Named(effect.name, effect.summary, candidate.targets, *numbers, float("nan"), None, rivals, odd.episode.name)
-    confirmed = gain_on_others(problem, back, end) > seen(problem)
-    return Alone(problem, end, named, possible if rivals else (), confirmed)
+    return Alone(problem, end, named, possible if rivals else (), gained > seen)
 
 
-def brings_down(problem: Problem, back: Fit, end: Fit, candidate: Candidate, odd: Window) -> bool:
-    """Whether a candidate leaves no real gap on the motion that was set aside, and motions never fitted do not speak against it.
-
-    `back` is the model without it on all motions, `end` with it.
-    """
-    if left_on(end, odd) > (REAL_GAP * problem.floor) ** 2 or not stands(problem, candidate, end):
-        return False
-    return gain_on_others(problem, back, end) >= -seen(problem)
+def brings_down(problem: Problem, end: Fit, candidate: Candidate, odd: Window) -> bool:
+    """Whether a candidate stands, and leaves no real gap on the motion that was set aside, beside `end`'s other numbers."""
+    return left_on(end, odd) <= (REAL_GAP * problem.floor) ** 2 and stands(problem, candidate, end)
 
 
 def gain_on_others(problem: Problem, back: Fit, end: Fit) -> float:
     """By how much the mean squared error on motions never fitted is less with `end` than with `back` [rad^2]."""
     return float(proof_errors(problem, back).mean() - proof_errors(problem, end).mean())
-
-
-def seen(problem: Problem) -> float:
-    """The least squared error above the floor that can be seen [rad^2]."""
-    return ((1.0 + VISIBLE) ** 2 - 1.0) * problem.floor**2
 
 
 def left_on(fit: Fit, odd: Window) -> float:
@@ -195,6 +190,4 @@ def off_on(problem: Problem, fit: Fit, odd: Window) -> tuple[float, str]:
 
 def _on(fit: Fit, odd: Window) -> Fit:
     """A fit on one of its motions alone."""
-    rows = fit.objective.owner == next(i for i, window in enumerate(fit.objective.windows) if window is odd)
-    objective = replace(fit.objective, windows=(odd,), simulations=0)
-    return replace(fit, objective=objective, residual=fit.residual[rows], jacobian=fit.jacobian[rows])
+    return on_motions(fit, [next(i for i, window in enumerate(fit.objective.windows) if window is odd)])

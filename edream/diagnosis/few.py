@@ -21,9 +21,15 @@ def thinned(fit: Fit, seconds: float) -> Fit:
     kept = representative(squares, np.array([float(w.times[-1]) for w in windows]), seconds, set_ups(fit))
     if len(kept) == len(windows):
         return fit
+    return on_motions(fit, kept)
+
+
+def on_motions(fit: Fit, kept: Sequence[int]) -> Fit:
+    """The fit on some of its motions, by their numbers."""
     rows = np.isin(fit.objective.owner, kept)
     offset = None if fit.objective.offset is None else fit.objective.offset[rows]
-    objective = replace(fit.objective, windows=[windows[i] for i in kept], simulations=0, offset=offset)
+    windows = [fit.objective.windows[i] for i in kept]
+    objective = replace(fit.objective, windows=windows, simulations=0, offset=offset)
     return replace(fit, objective=objective, residual=fit.residual[rows], jacobian=fit.jacobian[rows])
 
 

@@ -91,7 +91,12 @@ def gap_above_floor(problem: Problem, errors: Float[np.ndarray, "M"]) -> float:
 
     What one joint is off by may not show in the mean over many.
     """
-    return max(float(errors.mean()) - problem.floor**2, ((1.0 + VISIBLE) ** 2 - 1.0) * problem.floor**2)
+    return max(float(errors.mean()) - problem.floor**2, least_seen(problem))
+
+
+def least_seen(problem: Problem) -> float:
+    """The least mean squared error above the floor that can be seen [rad^2]."""
+    return ((1.0 + VISIBLE) ** 2 - 1.0) * problem.floor**2
 
 
 def is_borne_out(problem: Problem, errors: Float[np.ndarray, "M"], floors: float) -> bool:

@@ -123,6 +123,15 @@ def test_what_brings_one_motion_down_to_the_noise_beside_what_others_tell_is_wha
     assert off_on(others, found.fit, odd)[0] < 1.2 * problem.floor
 
 
+def test_what_motions_never_fitted_contradict_is_not_what_one_motion_shows(
+    hard: tuple[Problem, Problem], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    problem, others = hard
+    odd = next(window for window in problem.fitted if window not in others.fitted)
+    monkeypatch.setattr(alone, "gain_on_others", lambda problem, back, end: -(problem.floor**2))
+    assert explained(others, fit_nuisance(others), odd) is None
+
+
 def test_what_nothing_explains_is_set_aside_and_the_others_name_what_is_hidden() -> None:
     episodes = episodes_of(HEAD, truth("parallel_spring"), 6, 8, 5.0)
     episodes[3] = pushed(episodes[3])

@@ -16,7 +16,7 @@ from edream.diagnosis.descent import Fit
 from edream.diagnosis.left_out import left_out_errors
 from edream.diagnosis.nuisance import fit_nuisance, published
 from edream.diagnosis.problem import Settings, prepare
-from edream.diagnosis.remainder import find_remainder
+from edream.diagnosis.remainder import Remainder, find_remainder
 from edream.diagnosis.swings import frequencies_in_step, main_swing
 from edream.diagnosis.wording import where_it_shows
 from edream.sim.robot import RobotModel
@@ -43,6 +43,17 @@ def played(
     return Episode(f"motion_{rng.integers(1 << 30)}", robot.joints, TIMES, noisy, TIMES, command)
 
 
+def described(recorded: Callable[[RobotModel, int], Episode], count: int) -> tuple[Remainder, float]:
+    """The formula of so many recordings, and the mean squared error [rad^2] on those left out without it."""
+    robot = robot_of("pan_tilt")
+    assert robot is not None
+    problem = prepare(robot, [recorded(robot, seed) for seed in range(count)], Settings())
+    fit = fit_nuisance(problem)
+    found = find_remainder(problem, fit)
+    assert found is not None and found.real and found.joint == "tilt"
+    return found, float(left_out_errors(problem, fit).mean())
+
+
 def warmed(robot: RobotModel, seed: int) -> Episode:
     """A tilt joint whose dry friction melts away with the way it goes, and comes back at rest."""
     rng = np.random.default_rng(seed)
@@ -60,14 +71,9 @@ def warmed(robot: RobotModel, seed: int) -> Episode:
 
 
 def test_friction_that_melts_as_a_joint_moves_is_described_by_how_fast_it_was_lately() -> None:
-    robot = robot_of("pan_tilt")
-    assert robot is not None
-    problem = prepare(robot, [warmed(robot, seed) for seed in range(6)], Settings())
-    fit = fit_nuisance(problem)
-    found = find_remainder(problem, fit)
-    assert found is not None and found.real and found.joint == "tilt"
+    found, left = described(warmed, 6)
     assert re.search(r"sign\(v\) mean \|v\| of the last (0\.5|2|10) s", found.formula), found.formula
-    assert found.errors.mean() < 0.25 * left_out_errors(problem, fit).mean(), "half of the error, on motions left out"
+    assert found.errors.mean() < 0.25 * left, "half of the error, on motions left out"
 
 
 def weakened(robot: RobotModel, seed: int) -> Episode:
@@ -84,14 +90,9 @@ def weakened(robot: RobotModel, seed: int) -> Episode:
 
 @pytest.mark.slow
 def test_a_servo_that_is_weak_at_one_place_is_described_by_its_torque_there() -> None:
-    robot = robot_of("pan_tilt")
-    assert robot is not None
-    problem = prepare(robot, [weakened(robot, seed) for seed in range(5)], Settings())
-    fit = fit_nuisance(problem)
-    found = find_remainder(problem, fit)
-    assert found is not None and found.real and found.joint == "tilt"
+    found, left = described(weakened, 5)
     assert "motor bump(q at " in found.formula
-    assert found.errors.mean() < 0.1 * left_out_errors(problem, fit).mean(), "a third of the error, on motions left out"
+    assert found.errors.mean() < 0.1 * left, "a third of the error, on motions left out"
 
 
 def stopped(robot: RobotModel, seed: int) -> Episode:
@@ -106,15 +107,10 @@ def stopped(robot: RobotModel, seed: int) -> Episode:
 
 
 def test_what_a_joint_leans_on_beyond_a_place_is_described_by_that_place() -> None:
-    robot = robot_of("pan_tilt")
-    assert robot is not None
-    problem = prepare(robot, [stopped(robot, seed) for seed in range(5)], Settings())
-    fit = fit_nuisance(problem)
-    found = find_remainder(problem, fit)
-    assert found is not None and found.real and found.joint == "tilt"
+    found, left = described(stopped, 5)
     places = [float(place) for place in re.findall(r"max\(q - ([-0-9.e]+), 0\)", found.formula)]
     assert any(abs(place - 0.31) < 0.08 for place in places), found.formula
-    assert found.errors.mean() < 0.02 * left_out_errors(problem, fit).mean(), "a seventh of the error, on motions left out"
+    assert found.errors.mean() < 0.02 * left, "a seventh of the error, on motions left out"
 
 
 def hummed(robot: RobotModel, seed: int, phase: float, hum: float = 0.08) -> Episode:
