@@ -41,6 +41,7 @@ class State(Protocol):
     Attributes:
         gear_torque: what each joint's gear passed on to its link in the last step [N m]: weight, motion and inertia of all that
             hangs on it, without the armature, which sits before the gear.
+        constraint: what held or braked each joint in the last step [N m]: dry friction, limits, contacts.
         gain, speed_gain: of each servo's law [N m/rad, N m s/rad].
         limits: the least and the most that each servo gives [N m], infinite where it has no limit.
     """
@@ -52,6 +53,7 @@ class State(Protocol):
     qfrc_bias: Float[np.ndarray, "N nv"]
     actuator_force: Float[np.ndarray, "N outputs"]
     gear_torque: Float[np.ndarray, "N nv"]
+    constraint: Float[np.ndarray, "N nv"]
     gain: Float[np.ndarray, "N actuators"]
     speed_gain: Float[np.ndarray, "N actuators"]
     limits: Float[np.ndarray, "N actuators 2"]
@@ -94,6 +96,7 @@ class Effect(ABC):
         of_position_servo: whether it acts on what a servo makes of a commanded position, and so not under torque or speed commands.
         special: a simpler effect that this one is where one of its quantities has a certain value: (effect, quantity, value).
         finer: the same effect with one number more that only some motions tell; its other numbers come first, in the same order.
+        of_creep: whether it shows beside friction that lets stuck joints creep where it does not beside friction that holds.
         softer: the same effect in other forms with one number more, of which a robot may have one; its other numbers come first.
     """
 
@@ -110,6 +113,7 @@ class Effect(ABC):
     shifts_links: bool = False
     of_position_servo: bool = False
     special: tuple[str, str, float] | None = None
+    of_creep: bool = False
     finer: "Effect | None" = None
     softer: "tuple[Effect, ...]" = ()
 

@@ -8,13 +8,13 @@ from jaxtyping import Float
 
 from edream.catalog import load
 from edream.core.effect import Effect
-from edream.diagnosis.candidates import placement
+from edream.diagnosis.candidates import Candidate, library, placement
 from edream.diagnosis.descent import Fit, begin, descend
-from edream.diagnosis.left_out import SEEN, bootstrap, gap_above_floor, leaves_no_gap, left_out_errors
+from edream.diagnosis.left_out import SEEN, bootstrap, gap_above_floor, leaves_no_gap, left_out_errors, worst_joint
 from edream.diagnosis.problem import Problem
-from edream.diagnosis.screen import extend
-from edream.diagnosis.starts import beside_either
-from edream.diagnosis.trials import Trial, on_few, residual_among
+from edream.diagnosis.screen import Scored, extend
+from edream.diagnosis.starts import beside_either, either_way
+from edream.diagnosis.trials import Trial, gone_on, judged, leaves_little, on_few, residual_among
 from edream.sim.objective import rms
 
 FRICTION = "coulomb"
@@ -36,8 +36,8 @@ class Creeping:
 def creeping(problem: Problem, fit: Fit, errors: Float[np.ndarray, "M"]) -> Creeping | None:
     """The model with friction that creeps, in the form that suits the motions best; None where that surely gains nothing on those
     left out, whose `errors` are without it [rad^2], (M,), or the share of the gap that an effect must close is not met."""
-    forms = load("effects", FRICTION, Effect).softer
-    if FRICTION not in problem.settings.nuisance or problem.creep is not None or leaves_no_gap(problem, fit):
+    forms = _forms(problem, fit)
+    if not forms:
         return None
     few, least = on_few(problem, fit), problem.settings.gain
     best, form = min(((_softened(few, fit, form, FIRST), form) for form in forms), key=lambda one: one[0].rms)
@@ -82,6 +82,57 @@ def is_missing_beside(found: Creeping, problem: Problem, trials: Sequence[Trial]
     if by_both.mean() >= TOGETHER * min(by_effect.mean(), few.rms**2 - problem.floor**2):
         return False
     return float(np.mean((by_effect > SEEN * problem.floor**2) & (by_both < TOGETHER * by_effect))) > MOST
+
+
+def creeping_with(problem: Problem, fit: Fit, trials: Sequence[Trial]) -> tuple[Creeping, Trial] | None:
+    """Friction that creeps and an effect that does nothing without it, on the joint that is off most, where motions show both.
+
+    Together they leave less than half of what the best effect leaves there, and friction that creeps mends most joints; neither
+    need gain anything alone. None where they do not, and where an effect alone leaves little.
+    """
+    joint, best = worst_joint(problem, fit), max((t for t in trials if t.sure), key=lambda t: t.closed, default=None)
+    places = [Candidate(effect.name, (joint,)) for effect in library(problem) if effect.of_creep]
+    if not places or (best is not None and leaves_little(problem, best)):
+        return None
+    few = on_few(problem, fit)
+    begun = [
+        (_nearest_of(replace(problem, creep=form), _softened(few, fit, form, FIRST), one), one, form)
+        for form in _forms(problem, fit)
+        for one in places
+    ]
+    if not begun:
+        return None
+    both, candidate, form = min(begun, key=lambda one: one[0].rms)
+    by_effect = few.residual if best is None else residual_among(few, best.fit)
+    if not _mends_most(problem, by_effect, both.residual, joint):
+        return None
+    softer = replace(problem, creep=form)
+    end = _softened(fit, both, form, FURTHER)
+    errors = left_out_errors(softer, end)
+    lead = judged(softer, gone_on(end, both), errors, Scored(candidate, {}, 0.0))
+    return (Creeping(softer, end, errors), lead) if lead.sure else None
+
+
+def _forms(problem: Problem, fit: Fit) -> tuple[Effect, ...]:
+    """Forms of dry friction that creeps which a model may still get; none where it has one, or no gap."""
+    settled = FRICTION not in problem.settings.nuisance or problem.creep is not None or leaves_no_gap(problem, fit)
+    return () if settled else load("effects", FRICTION, Effect).softer
+
+
+def _mends_most(problem: Problem, before: np.ndarray, after: np.ndarray, joint: str) -> bool:
+    """Whether what is left is less than half on a joint, and on most that showed a gap."""
+    was, now = ((one.reshape(-1, len(problem.joints)) ** 2).mean(axis=0) - problem.floor**2 for one in (before, after))
+    mended = (was > SEEN * problem.floor**2) & (now < TOGETHER * was)
+    return bool(mended[problem.joints.index(joint)] and np.mean(mended) > MOST)
+
+
+def _nearest_of(problem: Problem, few: Fit, candidate: Candidate) -> Fit:
+    """A candidate beside a fit, from the nearest of all its strengths, its joint's usual numbers as they are or as published."""
+    place = placement(problem, candidate)
+    extended, absent = extend(few, [place])
+    starts = either_way(problem, place, extended, absent)
+    nearest = int(np.argmin([rms(residual) for residual in extended.residuals(np.array(starts))]))
+    return descend(begin(extended, np.clip(extended.simulated.space.to_unit(starts[nearest]), 0.0, 1.0)), None, FURTHER)
 
 
 def _beside(found: Creeping, few: Fit, best: Trial) -> Fit:

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from edream.diagnosis.astray import screen_twice
 from edream.diagnosis.backward import nearer_without, passes, stands
 from edream.diagnosis.candidates import untouched
-from edream.diagnosis.creep import creeping, is_far_ahead, is_missing_beside, outdoes
+from edream.diagnosis.creep import creeping, creeping_with, is_far_ahead, is_missing_beside, outdoes
 from edream.diagnosis.decide import Round, restarted, settled, simplest, simplified, told_apart, with_confusable
 from edream.diagnosis.descent import Fit, polish
 from edream.diagnosis.ends import arrived
@@ -20,7 +20,7 @@ from edream.diagnosis.outwards import outermost
 from edream.diagnosis.problem import Problem
 from edream.diagnosis.remainder import Remainder, find_remainder
 from edream.diagnosis.steps import with_short_steps
-from edream.diagnosis.trials import Trial, predicted, try_best, with_bold
+from edream.diagnosis.trials import Trial, best_of_each, predicted, try_best, with_bold
 from edream.diagnosis.wanting import with_put_back, with_rough
 
 CLEARLY = 0.75  # of the squared error above the floor that a stand-in leaves
@@ -32,7 +32,8 @@ def forward(
 ) -> tuple[Problem, Fit, list[Round]]:
     """Add effects while they pass, the best on left-out motions first; before each, steps are made as short as they need to be.
 
-    Where friction that lets stuck joints creep does better than every candidate, it becomes a usual number.
+    Where friction that lets stuck joints creep does better than every candidate, or shows together with one alone, it becomes a
+    usual number.
 
     An earlier name gives way to what it was not told from, where that leaves far less beside the one that came last.
 
@@ -43,7 +44,7 @@ def forward(
         The problem with the steps that were taken, the final fit, and every round, the last of which took nothing unless the most
         effects were reached.
     """
-    rounds = list(taken_before)
+    rounds, leads = list(taken_before), list[Trial]()
     while len(rounds) < problem.settings.most:
         problem, fit = with_short_steps(problem, fit)
         errors = predicted(problem, fit, rounds[-1].taken if rounds else None)
@@ -54,7 +55,7 @@ def forward(
             rounds.append(Round(fit, errors, [], [], None))
             break
         scored = screen_twice(problem, fit, lambda n: done("screening", n))
-        trials = try_best(problem, fit, errors, scored, lambda n: done("refitting", n))
+        trials = best_of_each([*try_best(problem, fit, errors, scored, lambda n: done("refitting", n)), *leads])
         # beside names that were taken it would ask whether those still stand
         if not rounds and (nearer := nearer_without(fit, trials)) is not None:
             fit = nearer  # so much nearer that this ends
@@ -62,6 +63,10 @@ def forward(
         softer = creeping(problem, fit, errors)
         if softer is not None and (is_far_ahead(softer, problem, errors, trials) or is_missing_beside(softer, problem, trials)):
             problem, fit = softer.problem, softer.fit
+            continue
+        if (together := creeping_with(problem, fit, trials)) is not None:
+            softer, lead = together
+            problem, fit, leads = softer.problem, softer.fit, [lead]
             continue
         if not rounds:  # later ones begin at numbers that make up for less
             trials = with_bold(problem, fit, errors, trials, lambda n: done("searching", n))
@@ -90,6 +95,7 @@ def forward(
             others = [t for t in trials if t.candidate not in same | {taken.candidate}]
             trials = sorted([taken, *others], key=lambda t: -t.closed)
         rounds.append(Round(fit, errors, scored, trials, taken))
+        leads = []
         if taken is None:
             break
         fit, rounds = doubted_instead(problem, ended, rounds, lambda n: done("exchanging names", n))

@@ -55,6 +55,16 @@ def in_all_strengths_beside_published(
     return in_all_strengths(problem, place, extended, _believed(problem, place, extended, absent))
 
 
+def either_way(
+    problem: Problem, place: Placement, extended: Objective, absent: Float[np.ndarray, "P"]
+) -> list[Float[np.ndarray, "P"]]:
+    """Every probe of a candidate and its opposite, weak and strong, beside the usual numbers as they are and as published."""
+    factors = [sign * strength for sign in (1.0, -1.0) for strength in (1.0, STRONG)]
+    scaled = [scaled_probe(place, problem, probe, factor) for probe in probes_of(problem, place) for factor in factors]
+    usual = (absent, _believed(problem, place, extended, absent))
+    return [with_quantities(extended, numbers, [place], [one]) for numbers in usual for one in scaled if one is not None]
+
+
 def _believed(problem: Problem, place: Placement, extended: Objective, absent: Float[np.ndarray, "P"]) -> Float[np.ndarray, "P"]:
     """Parameter values, the usual numbers of the joints that a candidate acts on as published; of all, where it acts on none."""
     joints = acted_on(Candidate(place.effect.name, tuple(place.targets)))

@@ -1,16 +1,24 @@
 """Dry friction that differs between the directions."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import mujoco
 import numpy as np
 
-from edream.core.effect import Effect, Fields, Values, joint_index
+from edream.core.effect import Effect, State
 from edream.core.parameters import Parameter
 from edream.sim.friction import hold_still
 from edream.sim.rotor import drive_joint
 from edream.sim.scales import most_torque
-from edream.sim.servo import NO_INPUT, TURNED, device, passive_device
+
+
+def asymmetric_coulomb(state: State, index: dict[str, int], values: dict[str, Any]) -> None:
+    """Dry friction is larger one way, and smaller by as much the other way; at rest it is the way that it holds the joint from."""
+    dof = index["drive"]
+    speed = state.qvel[:, dof]
+    more = values["difference"] * np.sign(np.where(abs(speed) > 1e-3, speed, -state.constraint[:, dof]))
+    state.friction[:, dof] = np.maximum(state.friction[:, dof] + more, 0.0)
 
 
 class AsymmetricCoulomb(Effect):
@@ -18,9 +26,11 @@ class AsymmetricCoulomb(Effect):
 
         F = max(F0 + d, 0) for qd > 0,  max(F0 - d, 0) for qd < 0
 
-    Dry friction between two unequal bounds is friction of their mean and a torque of half their difference, in motion and at rest:
-    no motion can tell this from `constant_torque` beside another dry friction. But friction only brakes, so neither bound falls
-    below zero: a torque larger than the friction beside it is none of friction's. Native, as a torque and `frictionloss`.
+    Where friction holds a stuck joint, two unequal bounds are friction of their mean and a torque of half their difference, in
+    motion and at rest: no motion can tell this from `constant_torque` beside another dry friction. But friction only brakes, so
+    neither bound falls below zero: a torque larger than the friction beside it is none of friction's. Where a stuck joint creeps it
+    creeps to where nothing pulls at it, and no torque does that. A hook sets `dof_frictionloss` before each step by the way that
+    the joint goes.
     Parameter: difference d, half of that between the directions [N m]. Source: Armstrong-Helouvry, Dupont, Canudas de Wit, 1994.
     """
 
@@ -28,8 +38,10 @@ class AsymmetricCoulomb(Effect):
     summary = "dry friction that differs between the directions"
     place = "joint"
     confusable = ("constant_torque", "directional_efficiency", "gravity_tilt")
+    hook = staticmethod(asymmetric_coulomb)
     late = 1
     of_type = False
+    of_creep = True
 
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
         high = 2.0 * most_torque(model, targets)
@@ -37,15 +49,6 @@ class AsymmetricCoulomb(Effect):
 
     def edit(self, spec: mujoco.MjSpec, target: str) -> None:
         hold_still(spec, drive_joint(spec, target))
-        device_ = passive_device(spec, target, self.name)
-        device_.set_to_dcmotor(motorconst=[0.0, 0.0], resistance=1.0, cogging=[1e-9, 0.0, TURNED], ctrlspec=NO_INPUT)
-
-    def write(self, fields: Fields, target: str, values: Values) -> None:
-        drive, friction = joint_index(fields.model, target)["drive"], fields["dof_frictionloss"]
-        forth = np.maximum(friction[:, drive] + values["difference"], 0.0)
-        back = np.maximum(friction[:, drive] - values["difference"], 0.0)
-        friction[:, drive] = 0.5 * (forth + back)
-        fields["actuator_biasprm"][:, device(fields.model, target, self.name), 0] = -0.5 * (forth - back)
 
 
 ENTRY = AsymmetricCoulomb()

@@ -13,10 +13,12 @@ from edream.sim.rotor import drive_joint
 
 
 def directional_efficiency(state: State, index: dict[str, int], values: dict[str, Any]) -> None:
-    """Dry friction grows with the load, by another factor when the joint lifts than when it lowers."""
+    """Dry friction grows with the load, by another factor when the joint lifts; at rest it is the way that it is held from."""
     dof, load = index["drive"], state.gear_torque[:, index["dof"]]
-    state.friction[:, dof] += values["slope"] * np.abs(load)
-    state.torque[:, dof] -= values["slope"] * values["asymmetry"] * load
+    speed = state.qvel[:, dof]
+    way = np.sign(np.where(abs(speed) > 1e-3, speed, -state.constraint[:, dof]))
+    share = np.maximum(1.0 + values["asymmetry"] * way * np.sign(load), 0.0)
+    state.friction[:, dof] += values["slope"] * share * abs(load)
 
 
 class DirectionalEfficiency(Effect):
@@ -24,8 +26,8 @@ class DirectionalEfficiency(Effect):
 
         F = F0 + k |load| (1 + a s),  s = 1 while the joint moves against its load, -1 while the load drives it
 
-    With a = 0 this is `load_friction`; a > 0 is a gear whose driving loses more than its being driven back. Friction between two
-    unequal bounds is friction between their mean and a torque -k a load, in motion and at rest; a hook sets both before each step.
+    With a = 0 this is `load_friction`; a > 0 is a gear whose driving loses more than its being driven back, which is no friction
+    of negative size. A hook sets `dof_frictionloss` before each step by the way that the joint goes, or is held from going.
     Parameters: slope k [1], asymmetry a [1]. Source: Wang, Kim, IJRR 2015 (directional gear efficiency); Duclusaud et al. (BAM),
     2024.
     """

@@ -51,6 +51,7 @@ class One:
         self.time, self.step, self.memory = np.array([data.time]), model.opt.timestep, memory
         self.qpos, self.qvel, self.ctrl = data.qpos[None], data.qvel[None], data.ctrl[None]
         self.qfrc_bias, self.actuator_force = data.qfrc_bias[None], data.actuator_force[None]
+        self.constraint = data.qfrc_constraint[None]
         self.gear_torque = (data.qfrc_smooth + data.qfrc_bias + data.qfrc_constraint - model.dof_armature * data.qacc)[None]
         self.gain, self.speed_gain, self.limits = -model.actuator_biasprm[None, :, 1], -model.actuator_biasprm[None, :, 2], limits
         self.friction, self.torque = model.dof_frictionloss[None], data.qfrc_applied[None]

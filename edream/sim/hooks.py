@@ -24,7 +24,7 @@ class BatchState:
         self.clock = bind("time")
         self.qpos, self.qvel, self.ctrl = bind("qpos"), bind("qvel"), bind("ctrl")
         self.qfrc_bias, self.actuator_force = bind("qfrc_bias"), bind("actuator_force")
-        self._smooth, self._constraint, self._qacc = bind("qfrc_smooth"), bind("qfrc_constraint"), bind("qacc")
+        self._smooth, self.constraint, self._qacc = bind("qfrc_smooth"), bind("qfrc_constraint"), bind("qacc")
         self._armature = simulations.expand("dof_armature")
         self._bias = simulations.expand("actuator_biasprm")
         self.friction = simulations.expand("dof_frictionloss")
@@ -42,7 +42,7 @@ class BatchState:
 
     @property
     def gear_torque(self) -> Float[np.ndarray, "N nv"]:
-        return self._smooth + self.qfrc_bias + self._constraint - self._armature * self._qacc
+        return self._smooth + self.qfrc_bias + self.constraint - self._armature * self._qacc
 
     @property
     def gain(self) -> Float[np.ndarray, "N actuators"]:

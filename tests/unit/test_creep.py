@@ -12,7 +12,7 @@ import edream
 from edream import catalog
 from edream.core.effect import Effect
 from edream.diagnosis.candidates import Candidate
-from edream.diagnosis.creep import FAR, Creeping, creeping, is_far_ahead, is_missing_beside, outdoes
+from edream.diagnosis.creep import FAR, Creeping, creeping, creeping_with, is_far_ahead, is_missing_beside, outdoes
 from edream.diagnosis.evidence import evidence
 from edream.diagnosis.left_out import leaves_no_gap
 from edream.diagnosis.nuisance import fit_nuisance
@@ -134,3 +134,26 @@ def test_friction_that_creeps_is_missing_where_most_joints_say_so(
     found = Creeping(problem, None, np.zeros(6))  # type: ignore[arg-type]
     best = Trial(None, 1.0, None, np.zeros(6), 0.5, True)  # type: ignore[arg-type]
     assert is_missing_beside(found, problem, [best, replace(best, closed=0.9, sure=False)]) is missing  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("effect", "motions"), [("asymmetric_coulomb", 6), ("directional_efficiency", 8)])
+def test_friction_that_differs_between_directions_is_named_where_joints_creep(effect: str, motions: int) -> None:
+    found = diagnose(prepare(HEAD, episodes_of(HEAD, smooth(0.005, (effect,), 8), motions), Settings()))
+    assert found.verdict == "named"
+    assert [(one.name, one.targets) for one in found.effects] == [(effect, ("tilt",))]
+    assert found.problem.creep in FORMS
+    assert leaves_no_gap(found.problem, found.after)
+
+
+def test_an_effect_that_does_nothing_beside_friction_that_holds_is_sought_together_with_friction_that_creeps() -> None:
+    problem = prepare(HEAD, episodes_of(HEAD, smooth(0.005, ("asymmetric_coulomb",), 8), 6), Settings())
+    fit = fit_nuisance(problem)
+    together = creeping_with(problem, fit, [])
+    assert together is not None
+    softer, lead = together
+    assert lead.candidate == Candidate("asymmetric_coulomb", ("tilt",))
+    assert lead.fit.rms < 1.1 * problem.floor < softer.fit.rms
+    explained = replace(lead, closed=1.0)
+    assert creeping_with(problem, fit, [explained]) is None
+    holding = prepare(HEAD, episodes_of(HEAD, smooth(0.0, ("stribeck",), 8), 4), Settings())
+    assert creeping_with(holding, fit_nuisance(holding), []) is None
