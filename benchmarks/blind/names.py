@@ -50,7 +50,6 @@ OTHER_NAME = {
 # quantity there -> quantity in the library, where one is the other times a factor
 FACTORS: Mapping[str, Mapping[str, tuple[str, float]]] = {
     "quadratic_drag": {"coefficient": ("drag", 1.0)},
-    "asymmetric_coulomb": {"torque": ("difference", 1.0)},
     "stribeck": {"torque": ("torque", 1.0), "velocity": ("speed", 1.0)},
     "load_friction": {"share": ("slope", 1.0)},
     "presliding": {"torque": ("torque", 1.0), "width": ("displacement", 1.0)},
@@ -107,6 +106,10 @@ def true_values(hidden: Hidden, truth: Truth, model: mujoco.MjModel) -> dict[str
     if hidden.name == "directional_efficiency":
         both = own["drive"] + own["back"]
         return {"slope": 0.5 * both, "asymmetry": (own["drive"] - own["back"]) / both}
+    if hidden.name == "asymmetric_coulomb":  # friction against one way does not fall below zero
+        mean, more = truth.nuisance["frictionloss"][hidden.targets[0]], own["torque"]
+        forth, back = max(mean + more, 0.0), max(mean - more, 0.0)
+        return {"asymmetry": (forth - back) / (forth + back)}
     if hidden.name == "gravity_tilt":
         return _tilt(own["roll"], own["pitch"], np.array(model.opt.gravity))
     factors = FACTORS.get(hidden.name, {})

@@ -26,6 +26,7 @@ class Parameter:
             `scale` is "log"; infinite where nothing is known beforehand.
         guessed: whether `start` is only a place to begin, since the model says nothing of this number.
         scale: "log" for positive quantities searched by their ratio (gains), else "linear".
+        attained: whether its box ends where nature does, as a share of all does, so that it may well lie there.
     """
 
     name: str
@@ -37,6 +38,7 @@ class Parameter:
     spread: float = math.inf
     scale: Literal["linear", "log"] = "linear"
     guessed: bool = False
+    attained: bool = False
 
     def __post_init__(self) -> None:
         if not self.low < self.high:

@@ -63,11 +63,11 @@ def stands(problem: Problem, candidate: Candidate, fit: Fit) -> bool:
 
 
 def is_away(fit: Fit, parameter: Parameter) -> bool:
-    """Whether a number's interval excludes the value at which its effect is not there, and it does not sit at a bound."""
+    """Whether a number's interval excludes the value at which its effect is not there, and it sits at no bound but nature's."""
     low, high = fit.intervals()[parameter.name]
     unit = float(fit.unit[fit.space.names.index(parameter.name)])  # in the box that is searched, logarithmic for a limit
     excludes = parameter.absent is not None and not low - ROUNDING * abs(low) <= parameter.absent <= high + ROUNDING * abs(high)
-    return excludes and BOUND <= unit <= 1.0 - BOUND
+    return excludes and (parameter.attained or BOUND <= unit <= 1.0 - BOUND)
 
 
 def nearer_without(fit: Fit, trials: Sequence[Trial]) -> Fit | None:

@@ -19,6 +19,7 @@ from edream.sim.objective import rms
 
 FRICTION = "coulomb"
 FIRST, FURTHER = 4, 6  # steps on a few motions, and on all
+ARRIVING = 12  # steps of an effect together with friction that creeps: neither is near its end without the other
 TOGETHER = 0.5  # of the squared error above the floor that an effect or creeping leaves, on all joints and on one
 MOST = 0.5  # of the joints: on more than that it is how a robot is made
 FAR = 0.5  # of what creeping closes: an effect that closes less by its first refit is searched for beside friction that creeps
@@ -94,15 +95,13 @@ def creeping_with(problem: Problem, fit: Fit, trials: Sequence[Trial]) -> tuple[
     places = [Candidate(effect.name, (joint,)) for effect in library(problem) if effect.of_creep]
     if not places or (best is not None and leaves_little(problem, best)):
         return None
-    few = on_few(problem, fit)
-    begun = [
-        (_nearest_of(replace(problem, creep=form), _softened(few, fit, form, FIRST), one), one, form)
-        for form in _forms(problem, fit)
-        for one in places
-    ]
-    if not begun:
+    few, forms = on_few(problem, fit), _forms(problem, fit)
+    if not forms:
         return None
-    both, candidate, form = min(begun, key=lambda one: one[0].rms)
+    softer, soft = replace(problem, creep=forms[0]), _softened(few, fit, forms[0], FIRST)
+    near, candidate = min(((_arrived(softer, soft, one), one) for one in places), key=lambda one: one[0].rms)
+    ends = [(near, forms[0]), *((_softened(near, near, form, FIRST), form) for form in forms[1:])]
+    both, form = min(ends, key=lambda one: one[0].rms)
     by_effect = few.residual if best is None else residual_among(few, best.fit)
     if not _mends_most(problem, by_effect, both.residual, joint):
         return None
@@ -126,13 +125,13 @@ def _mends_most(problem: Problem, before: np.ndarray, after: np.ndarray, joint: 
     return bool(mended[problem.joints.index(joint)] and np.mean(mended) > MOST)
 
 
-def _nearest_of(problem: Problem, few: Fit, candidate: Candidate) -> Fit:
+def _arrived(problem: Problem, few: Fit, candidate: Candidate) -> Fit:
     """A candidate beside a fit, from the nearest of all its strengths, its joint's usual numbers as they are or as published."""
     place = placement(problem, candidate)
     extended, absent = extend(few, [place])
     starts = either_way(problem, place, extended, absent)
     nearest = int(np.argmin([rms(residual) for residual in extended.residuals(np.array(starts))]))
-    return descend(begin(extended, np.clip(extended.simulated.space.to_unit(starts[nearest]), 0.0, 1.0)), None, FURTHER)
+    return descend(begin(extended, np.clip(extended.simulated.space.to_unit(starts[nearest]), 0.0, 1.0)), None, ARRIVING)
 
 
 def _beside(found: Creeping, few: Fit, best: Trial) -> Fit:

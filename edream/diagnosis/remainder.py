@@ -33,7 +33,7 @@ NARROW, WIDE = 16, 5  # bumps over a joint's travel, of two widths
 MOST_TERMS = 8
 LOOKS = 3  # at most
 ARRIVING, NEARER = 8, 3  # steps of all numbers, of a model with few, and with many
-OPEN = 0.1  # of the squared gap above the floor: a formula that leaves less is not looked at again
+OPEN = 0.01  # of the squared gap above the floor: a formula that leaves less is not looked at again
 ENOUGH = 50.0  # s of motion on which terms are chosen
 SMALLEST_GAIN = 0.03  # share of the residual that a further term must explain
 FEATURES = (
@@ -54,10 +54,12 @@ FEATURES = (
     "direction_time",
 )
 BUMPED = ("bump", "direction_bump", "speed_bump", "motor_bump")
-EDGED = ("over", "under", "speed_over", "speed_under")  # beyond a place: a stop, a cable that goes taut
+# beyond a place: a stop, a cable that goes taut
+EDGED = ("over", "under", "speed_over", "speed_under", "direction_over", "direction_under")
 WAVES = ("sine", "cosine")
 DEEP = 0.03  # rad beyond an edge
-BESIDE = 0.15  # rad, in which an edge is refitted
+BESIDE = 0.15  # rad, in which an edge or a bump is refitted
+WIDER = 3.0  # times as wide or as narrow a bump may become
 NEAR = 0.05  # Hz: half of what motions of ten seconds can tell apart, in which a frequency is refitted
 RECENT = (0.5, 2.0, 10.0)  # s, over which a joint's speed may be remembered: what warms up, or settles
 
@@ -94,9 +96,10 @@ def residual_torque(state: State, index: dict[str, int], values: Mapping[str, An
             shape = np.exp(-0.5 * ((q - values["centre_" + rest]) / values["width_" + rest]) ** 2)
             what = {"bump": 1.0, "direction_bump": direction, "speed_bump": v, "motor_bump": motor}[kind]
             torque = torque + coefficient * shape * what
-        elif kind in ("over", "under", "speed_over", "speed_under"):
-            beyond = q - values["edge_" + rest] if kind in ("over", "speed_over") else values["edge_" + rest] - q
-            torque = torque + coefficient * np.maximum(beyond, 0.0) * (v if kind.startswith("speed") else 1.0)
+        elif kind.endswith(("over", "under")):
+            beyond = q - values["edge_" + rest] if kind.endswith("over") else values["edge_" + rest] - q
+            what = {"speed": v, "direction": direction}.get(kind.partition("_")[0], 1.0)
+            torque = torque + coefficient * np.maximum(beyond, 0.0) * what
         elif kind in ("sine", "cosine"):
             phase = 2.0 * np.pi * values["frequency_" + rest] * state.time
             torque = torque + coefficient * (np.sin(phase) if kind == "sine" else np.cos(phase))
@@ -114,7 +117,7 @@ def residual_torque(state: State, index: dict[str, int], values: Mapping[str, An
 class ResidualTorque(Effect):
     """A sum of torque terms on one joint, each with its own coefficient; the terms are chosen per instance.
 
-    `shape` has centres and widths of bumps [rad], which stay, and edges [rad] and frequencies of waves [Hz], which may be refitted.
+    `shape` has centres and widths of bumps and edges [rad], and frequencies of waves [Hz]; all are refitted, unless held.
     """
 
     name = "residual_torque"
@@ -139,12 +142,10 @@ class ResidualTorque(Effect):
 
 
 def _shaped(name: str, value: float) -> Parameter:
-    unit, away = ("Hz", NEAR) if name.startswith("frequency_") else ("rad", BESIDE if name.startswith("edge_") else 1.0)
+    if name.startswith("width_"):
+        return Parameter(name, "rad", value / WIDER, value * WIDER, value, scale="log")
+    unit, away = ("Hz", NEAR) if name.startswith("frequency_") else ("rad", BESIDE)
     return Parameter(name, unit, value - away, value + away, value)
-
-
-def _is_refitted(name: str) -> bool:
-    return name.startswith(("frequency_", "edge_"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,8 +218,7 @@ def _longer(problem: Problem, fit: Fit, joint: str, found: Remainder | None) -> 
     terms = [*old, *(candidates[i] for i in chosen)]
     places = {n.partition("_at_")[2] for n in terms if n.partition("_at_")[0] in (*BUMPED, *EDGED, *WAVES)}
     used = {key: value for key, value in shape.items() if key.partition("_")[2] in places}
-    held = {key: value for key, value in used.items() if not _is_refitted(key)}
-    small = Placement(ResidualTorque(terms, _scales(problem, joint, terms), used), (joint,), fixed=held)
+    small = Placement(ResidualTorque(terms, _scales(problem, joint, terms), used), (joint,))
     begun, zero = extend(fit, [small])
     so_far = base.space.mapping(base.values)
     start = np.array([so_far.get(name, value) for name, value in zip(begun.simulated.space.names, zero, strict=True)])
@@ -322,8 +322,7 @@ def _formula(fit: Fit, placement: Placement) -> str:
         one.name.partition(".")[2].partition("[")[0]: values[one.name]
         for one in placement.parameters(fit.objective.simulated.robot.model)
     }
-    shape = found | dict(placement.fixed or {})
-    terms = [f"{value:+.3g} {_words(quantity, shape)}" for quantity, value in found.items() if not _is_refitted(quantity)]
+    terms = [f"{found[term]:+.3g} {_words(term, found)}" for term in _torque(placement).terms]
     return "tau = " + " ".join(terms) + " N m"
 
 
@@ -343,7 +342,7 @@ def _words(quantity: str, shape: Mapping[str, float]) -> str:
     if kind in EDGED:
         place = shape["edge_" + rest]
         beyond = f"max(q - {place:.3g}, 0)" if kind.endswith("over") else f"max({place:.3g} - q, 0)"
-        return f"v {beyond}" if kind.startswith("speed") else beyond
+        return {"speed": "v ", "direction": "sign(v) "}.get(kind.partition("_")[0], "") + beyond
     if kind in WAVES:
         return f"{'sin' if kind == 'sine' else 'cos'}(2 pi {shape['frequency_' + rest]:.3g} Hz t)"
     if kind.endswith("recent"):

@@ -19,24 +19,25 @@ ROBOT = pan_tilt()
 FRICTION = float(ROBOT.model.dof_frictionloss[0])
 
 
-def moved(effect: str, value: float, episodes: list) -> list[np.ndarray]:
-    place = Placement(catalog.load("effects", effect, Effect), ("pan",))
-    return [one[0] for one in rollout(SimulatedRobot(ROBOT, (place,)), np.array([[value]]), whole(episodes))]
+def moved(effect: str, value: float, episodes: list, friction: float = FRICTION) -> list[np.ndarray]:
+    """Where a robot is with an effect on `pan` beside dry friction [N m]."""
+    places = [Placement(catalog.load("effects", one, Effect), ("pan",)) for one in ("coulomb", effect)]
+    return [one[0] for one in rollout(SimulatedRobot(ROBOT, places), np.array([[friction, value]]), whole(episodes))]
 
 
 @pytest.mark.parametrize("share", [-0.9, 0.5])
 def test_a_difference_below_the_friction_is_a_torque(share: float) -> None:
     episodes = [commanded(3, ROBOT.joints)]
-    pulled, braked = (
-        moved(*one, episodes)[0] for one in (("constant_torque", -share * FRICTION), ("asymmetric_coulomb", share * FRICTION))
-    )
+    pulled = moved("constant_torque", -share * FRICTION, episodes)[0]
+    braked = moved("asymmetric_coulomb", share, episodes)[0]
     assert np.abs(pulled - braked).max() < 2e-4 < 1e-3 < np.abs(braked - moved("asymmetric_coulomb", 0.0, episodes)[0]).max()
 
 
 def test_friction_larger_one_way_than_all_of_it_does_not_push() -> None:
     one = commanded(0, ROBOT.joints)
     still = replace(one, command=np.zeros_like(one.command), position=np.zeros_like(one.position))
-    pulled, braked = (moved(effect, 5.0 * FRICTION, [still])[0][-1, 0] for effect in ("constant_torque", "asymmetric_coulomb"))
+    pulled = moved("constant_torque", 5.0 * FRICTION, [still])[0][-1, 0]
+    braked = moved("asymmetric_coulomb", 1.0, [still], 5.0 * FRICTION)[0][-1, 0]
     assert pulled > 2.0 * FRICTION / 20.0  # of what the servo's 20 N m/rad give
     assert abs(braked) < 1e-4
 
@@ -49,14 +50,14 @@ def test_a_torque_beyond_the_friction_is_not_explained_by_friction() -> None:
     problem = prepare(ROBOT, made, Settings())
     fit = fit_of(problem)
     true = having(problem, fit, Candidate("constant_torque", ("pan",)), {"torque": 5.0 * FRICTION})
-    begun = having(problem, fit, Candidate("asymmetric_coulomb", ("pan",)), {"difference": -4.0 * FRICTION})
+    begun = having(problem, fit, Candidate("asymmetric_coulomb", ("pan",)), {"asymmetry": -0.9})
     ended = descend(begun, None, 6)
     assert 2.0 * true.rms < ended.rms < begun.rms
 
 
 @pytest.mark.parametrize(
     ("effect", "values"),
-    [("asymmetric_coulomb", [0.9 * FRICTION]), ("directional_efficiency", [0.3, 0.9])],
+    [("asymmetric_coulomb", [0.9]), ("directional_efficiency", [0.3, 0.9])],
     ids=["asymmetric", "efficiency"],
 )
 def test_a_joint_that_creeps_comes_to_rest_where_nothing_pulls_at_it(effect: str, values: list[float]) -> None:

@@ -194,7 +194,7 @@ def test_a_formula_must_take_two_thirds_of_what_one_name_leaves_and_half_of_what
     ("left", "looks", "kept", "idle"),
     [
         ([5.0, 1.5], 1, 1.5, None),  # the first closes the gap
-        ([20.0, 4.0], 1, 4.0, None),  # or nearly all of a large one
+        ([60.0, 4.0], 1, 4.0, None),  # or nearly all of a large one
         ([5.0, 3.0, 2.5, 2.2], 3, 2.2, None),  # each leaves one and is better: as many as are looked for
         ([5.0, 3.0, 3.1, 1.0], 2, 3.0, None),  # the second is worse on motions left out
         ([5.0, 3.0, 2.5, 2.2], 2, 3.0, 2),  # or comes to nothing in the fit
