@@ -38,7 +38,8 @@ def test_no_motion_is_suggested_between_two_names_of_one_torque(
     """They move so nearly alike that what their numbers could make up for, which takes long to simulate, is not asked."""
     monkeypatch.setattr(next_motion, "evidences", lambda *_: pytest.fail("nothing to weigh"))
     fits = []
-    for effect, quantities in (("constant_torque", {"torque": -0.05}), ("asymmetric_coulomb", {"asymmetry": 0.5})):
+    friction = fit.space.mapping(fit.values)["coulomb.torque[tilt]"]
+    for effect, quantities in (("constant_torque", {"torque": -0.9 * friction}), ("asymmetric_coulomb", {"asymmetry": 0.9})):
         fits.append(having(problem, fit, Candidate(effect, ("tilt",)), quantities))
     assert suggest(problem, fits, np.random.default_rng(1)) is None
 
