@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from edream.catalog import load
 from edream.core.effect import Effect
@@ -15,7 +15,7 @@ from edream.diagnosis.problem import Problem
 from edream.diagnosis.screen import Scored, extend
 from edream.diagnosis.starts import beside_either, either_way
 from edream.diagnosis.trials import Trial, gone_on, judged, leaves_little, on_few, residual_among
-from edream.sim.objective import rms
+from edream.sim.objective import Objective, rms
 
 FRICTION = "coulomb"
 FIRST, FURTHER = 4, 6  # steps on a few motions, and on all
@@ -76,13 +76,11 @@ def is_missing_beside(found: Creeping, problem: Problem, trials: Sequence[Trial]
     if best is None:
         return False
     few = on_few(found.problem, found.fit)
-    by_effect, by_both = (
-        (residual.reshape(-1, len(problem.joints)) ** 2).mean(axis=0) - problem.floor**2
-        for residual in (residual_among(few, best.fit), _beside(found, few, best).residual)
-    )
-    if by_both.mean() >= TOGETHER * min(by_effect.mean(), few.rms**2 - problem.floor**2):
+    by_effect, by_both = residual_among(few, best.fit), _beside(found, few, best).residual
+    left = float(np.mean(by_both**2)) - problem.floor**2
+    if left >= TOGETHER * (min(float(np.mean(by_effect**2)), few.rms**2) - problem.floor**2):
         return False
-    return float(np.mean((by_effect > SEEN * problem.floor**2) & (by_both < TOGETHER * by_effect))) > MOST
+    return float(np.mean(_mended(problem, by_effect, by_both))) > MOST
 
 
 def creeping_with(problem: Problem, fit: Fit, trials: Sequence[Trial]) -> tuple[Creeping, Trial] | None:
@@ -103,7 +101,8 @@ def creeping_with(problem: Problem, fit: Fit, trials: Sequence[Trial]) -> tuple[
     ends = [(near, forms[0]), *((_softened(near, near, form, FIRST), form) for form in forms[1:])]
     both, form = min(ends, key=lambda one: one[0].rms)
     by_effect = few.residual if best is None else residual_among(few, best.fit)
-    if not _mends_most(problem, by_effect, both.residual, joint):
+    mended = _mended(problem, by_effect, both.residual)
+    if not mended[problem.joints.index(joint)] or np.mean(mended) <= MOST:
         return None
     softer = replace(problem, creep=form)
     end = _softened(fit, both, form, FURTHER)
@@ -118,30 +117,31 @@ def _forms(problem: Problem, fit: Fit) -> tuple[Effect, ...]:
     return () if settled else load("effects", FRICTION, Effect).softer
 
 
-def _mends_most(problem: Problem, before: np.ndarray, after: np.ndarray, joint: str) -> bool:
-    """Whether what is left is less than half on a joint, and on most that showed a gap."""
+def _mended(problem: Problem, before: Float[np.ndarray, "R"], after: Float[np.ndarray, "R"]) -> Bool[np.ndarray, "J"]:
+    """Which joints showed a gap by a residual [rad], and by another one less than half of it."""
     was, now = ((one.reshape(-1, len(problem.joints)) ** 2).mean(axis=0) - problem.floor**2 for one in (before, after))
-    mended = (was > SEEN * problem.floor**2) & (now < TOGETHER * was)
-    return bool(mended[problem.joints.index(joint)] and np.mean(mended) > MOST)
+    return (was > SEEN * problem.floor**2) & (now < TOGETHER * was)
 
 
 def _arrived(problem: Problem, few: Fit, candidate: Candidate) -> Fit:
     """A candidate beside a fit, from the nearest of all its strengths, its joint's usual numbers as they are or as published."""
     place = placement(problem, candidate)
     extended, absent = extend(few, [place])
-    starts = either_way(problem, place, extended, absent)
-    nearest = int(np.argmin([rms(residual) for residual in extended.residuals(np.array(starts))]))
-    return descend(begin(extended, np.clip(extended.simulated.space.to_unit(starts[nearest]), 0.0, 1.0)), None, ARRIVING)
+    return _nearest_gone_down(extended, either_way(problem, place, extended, absent), ARRIVING)
 
 
 def _beside(found: Creeping, few: Fit, best: Trial) -> Fit:
     """An effect beside friction that creeps on a few motions, from the numbers of either alone that are nearer with both."""
     place = placement(found.problem, best.candidate)
     extended, absent = extend(few, [place])
-    space, ended = extended.simulated.space, best.fit.space.mapping(best.fit.values)
-    starts = beside_either(found.problem, place, extended, absent, ended)
-    nearest = int(np.argmin([rms(residual) for residual in extended.residuals(np.array(starts))]))
-    return descend(begin(extended, np.clip(space.to_unit(starts[nearest]), 0.0, 1.0)), None, FURTHER)
+    ended = best.fit.space.mapping(best.fit.values)
+    return _nearest_gone_down(extended, beside_either(found.problem, place, extended, absent, ended), FURTHER)
+
+
+def _nearest_gone_down(objective: Objective, starts: Sequence[Float[np.ndarray, "P"]], steps: int) -> Fit:
+    """A model some steps from those of several numbers that are nearest to the motions."""
+    nearest = int(np.argmin([rms(residual) for residual in objective.residuals(np.array(starts))]))
+    return descend(begin(objective, np.clip(objective.simulated.space.to_unit(starts[nearest]), 0.0, 1.0)), None, steps)
 
 
 def _softened(fit: Fit, start: Fit, form: Effect, steps: int) -> Fit:
