@@ -89,12 +89,12 @@ def creeping_with(problem: Problem, fit: Fit, trials: Sequence[Trial]) -> tuple[
     Together they leave less than half of what the best effect leaves there, and friction that creeps mends most joints; neither
     need gain anything alone. None where they do not, and where an effect alone leaves little.
     """
-    joint, best = worst_joint(problem, fit), max((t for t in trials if t.sure), key=lambda t: t.closed, default=None)
-    places = [Candidate(effect.name, (joint,)) for effect in library(problem) if effect.of_creep]
-    if not places or (best is not None and leaves_little(problem, best)):
+    forms, best = _forms(problem, fit), max((t for t in trials if t.sure), key=lambda t: t.closed, default=None)
+    if not forms or (best is not None and leaves_little(problem, best)):
         return None
-    few, forms = on_few(problem, fit), _forms(problem, fit)
-    if not forms:
+    few, joint = on_few(problem, fit), worst_joint(problem, fit)
+    places = [Candidate(effect.name, (joint,)) for effect in library(problem) if effect.of_creep]
+    if not places:
         return None
     softer, soft = replace(problem, creep=forms[0]), _softened(few, fit, forms[0], FIRST)
     near, candidate = min(((_arrived(softer, soft, one), one) for one in places), key=lambda one: one[0].rms)

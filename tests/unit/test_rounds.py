@@ -8,6 +8,7 @@ import pytest
 from edream.diagnosis import forward, trials
 from edream.diagnosis.candidates import Candidate
 from edream.diagnosis.trials import Trial
+from tests.still_problem import trial_of
 
 
 @pytest.mark.parametrize(("at_the_end", "counted"), [((1.0, 9.0), (2.0, 2.0)), ((1.0, 1.0), (1.0, 1.0))])
@@ -31,7 +32,7 @@ def test_a_round_begins_anew_where_the_fit_left_a_false_valley(monkeypatch: pyte
         "untouched": lambda problem, taken: frozenset(),
         "asks_for_more": lambda problem, fit, first, errors, bare: fit is far,
         "screen_twice": lambda problem, fit, done: looked.append(fit) or [],
-        "try_best": lambda problem, fit, errors, scored, done: [SimpleNamespace()],
+        "try_best": lambda problem, fit, errors, scored, done: [trial_of("spring", 0.3)],
         "nearer_without": lambda fit, trials: near,
     }
     for name, stand_in in told.items():
