@@ -97,6 +97,7 @@ class Effect(ABC):
         special: a simpler effect that this one is where one of its quantities has a certain value: (effect, quantity, value).
         finer: the same effect with one number more that only some motions tell; its other numbers come first, in the same order.
         of_creep: whether it shows beside friction that lets stuck joints creep where it does not beside friction that holds.
+        creeping: the same effect, with the same numbers, beside friction that lets stuck joints creep; None where it is no other.
         softer: the same effect in other forms with one number more, of which a robot may have one; its other numbers come first.
     """
 
@@ -115,6 +116,7 @@ class Effect(ABC):
     special: tuple[str, str, float] | None = None
     of_creep: bool = False
     finer: "Effect | None" = None
+    creeping: "Effect | None" = None
     softer: "tuple[Effect, ...]" = ()
 
     @abstractmethod

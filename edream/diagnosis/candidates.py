@@ -31,8 +31,9 @@ class Candidate:
 
 
 def placement(problem: Problem, candidate: Candidate) -> Placement:
-    """The candidate as something that can be simulated."""
+    """The candidate as something that can be simulated, in the form that it has beside the problem's dry friction."""
     effect = load("effects", candidate.effect, Effect)
+    effect = effect.creeping if problem.creep is not None and effect.creeping is not None else effect
     return Placement(effect, candidate.targets, scaled=scaling_of(problem, candidate.effect))
 
 

@@ -114,7 +114,7 @@ def with_plain(problem: Problem, fit: Fit, kept: Sequence[Candidate]) -> Fit:
     """The fit, effects in their plain form again whose further number may be none beside what came later, and is not missed."""
     for candidate in kept if len(kept) > 1 else ():
         place, plain = standing(problem, candidate, fit.objective.simulated), load("effects", candidate.effect, Effect)
-        if place.effect is plain:
+        if place.effect is plain or place.effect is plain.creeping:
             continue
         more = place.parameters(problem.robot.model)[-1]
         fit = fit if fit.ended else polish(fit)  # where intervals are true

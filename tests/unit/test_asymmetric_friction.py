@@ -65,7 +65,8 @@ def test_a_joint_that_creeps_comes_to_rest_where_nothing_pulls_at_it(effect: str
     one = commanded(0, ROBOT.joints, 30.0)
     held = replace(one, command=np.full_like(one.command, 0.3), position=np.zeros_like(one.position))
     creeps = Placement(catalog.load("effects", "coulomb", Effect).softer[0], ("pan",))
-    place = Placement(catalog.load("effects", effect, Effect), ("pan",))
+    entry = catalog.load("effects", effect, Effect)
+    place = Placement(entry.creeping or entry, ("pan",))
     ends = [
         rollout(SimulatedRobot(ROBOT, places), np.array([numbers]), whole([held]))[0][0][-1, 0]
         for places, numbers in (((creeps,), [FRICTION, 0.02]), ((creeps, place), [FRICTION, 0.02, *values]))
