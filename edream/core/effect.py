@@ -64,6 +64,10 @@ class State(Protocol):
         """How fast a joint has been lately [rad/s]: its speed's size, averaged with weights exp(-age / seconds)."""
         ...
 
+    def way(self, dof: int) -> Float[np.ndarray, "N"]:
+        """Which way a joint goes, or dry friction holds it from going: 1, -1, or 0 where nothing moves or pulls it."""
+        ...
+
     def let_through(self, index: Mapping[str, int], more: Float[np.ndarray, "N"]) -> Float[np.ndarray, "N"]:
         """What gets through a position servo's limit of `more` torque than its law asks for [N m]."""
         ...

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import mujoco
-import numpy as np
 
 from edream.core.effect import Effect, State
 from edream.core.parameters import Parameter
@@ -15,9 +14,7 @@ from edream.sim.rotor import drive_joint
 def asymmetric_coulomb(state: State, index: dict[str, int], values: dict[str, Any]) -> None:
     """Dry friction is larger one way, and smaller by as much the other way; at rest it is the way that it holds the joint from."""
     dof = index["drive"]
-    speed = state.qvel[:, dof]
-    way = np.sign(np.where(abs(speed) > 1e-3, speed, -state.constraint[:, dof]))
-    state.friction[:, dof] *= 1.0 + values["asymmetry"] * way
+    state.friction[:, dof] *= 1.0 + values["asymmetry"] * state.way(dof)
 
 
 class AsymmetricCoulomb(Effect):

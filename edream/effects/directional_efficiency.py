@@ -22,9 +22,7 @@ def directional_efficiency(state: State, index: dict[str, int], values: dict[str
 def directional_efficiency_by_way(state: State, index: dict[str, int], values: dict[str, Any]) -> None:
     """Dry friction grows with the load, by another factor when the joint lifts; at rest it is the way that it is held from."""
     dof, load = index["drive"], state.gear_torque[:, index["dof"]]
-    speed = state.qvel[:, dof]
-    way = np.sign(np.where(abs(speed) > 1e-3, speed, -state.constraint[:, dof]))
-    share = np.maximum(1.0 + values["asymmetry"] * way * np.sign(load), 0.0)
+    share = np.maximum(1.0 + values["asymmetry"] * state.way(dof) * np.sign(load), 0.0)
     state.friction[:, dof] += values["slope"] * share * abs(load)
 
 

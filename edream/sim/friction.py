@@ -1,5 +1,7 @@
 """Dry friction that holds, which MuJoCo's default does not, or that lets a stuck joint creep as fast as it is told to."""
 
+from typing import Any
+
 import mujoco
 import numpy as np
 from jaxtyping import Float
@@ -36,3 +38,13 @@ def let_creep(fields: Fields, dof: int, torque: Float[np.ndarray, "N"], speed: F
     give = np.clip(soft / steps, 1.0 - IMPEDANCE, 1.0 - impedance)
     fields["dof_solimp"][:, dof, 0] = fields["dof_solimp"][:, dof, 1] = 1.0 - give
     fields["dof_solref"][:, dof, 0] = np.maximum(steps, soft / give)
+
+
+def way(state: Any, dof: Any) -> Any:
+    """Which way a joint goes, or dry friction holds it from going, (N,): 1, -1, or 0 where nothing moves or pulls it.
+
+    Slower than 1e-3 rad/s it is the way against the constraint's force in the last step, since the speed of a held joint is none
+    that counts. Written into emitted hook files as it stands.
+    """
+    speed = state.qvel[:, dof]
+    return np.sign(np.where(abs(speed) > 1e-3, speed, -state.constraint[:, dof]))

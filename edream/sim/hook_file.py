@@ -9,6 +9,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from edream.sim.friction import way
 from edream.sim.limits import let_through, limits_of
 from edream.sim.memory import at_rest, recent
 from edream.sim.rotor import has_rotor, wind_up
@@ -45,7 +46,7 @@ CALLS = {calls}
 class One:
     """One MjData, seen as a batch of one."""
 
-    recent, let_through, past = recent, let_through, staticmethod(at_rest)
+    recent, let_through, way, past = recent, let_through, way, staticmethod(at_rest)
 
     def __init__(self, model, data, limits, memory):
         self.time, self.step, self.memory = np.array([data.time]), model.opt.timestep, memory
@@ -60,7 +61,7 @@ class One:
 class Many:
     """A mujoco.batch.Batch: the same names, one row a simulation."""
 
-    recent, let_through, past = recent, let_through, staticmethod(at_rest)
+    recent, let_through, way, past = recent, let_through, way, staticmethod(at_rest)
 
     def __init__(self, batch):
         bind = batch.bind
@@ -246,7 +247,7 @@ def hook_text(simulated: SimulatedRobot, numbers: Sequence[Mapping[str, np.ndarr
     geared = any(has_rotor(model, joint) for joint in simulated.robot.joints)
     said = [text for text, true in ((STATEFUL, delayed or filtered), (GEARED, geared)) if true]
     head = HEAD.format(title=title, starts="\n".join(said)).replace('\n\n"""', '\n"""')
-    shared = (limits_of, let_through, recent, at_rest, *((wind_up,) if geared else ()))
+    shared = (limits_of, let_through, recent, at_rest, way, *((wind_up,) if geared else ()))
     sources |= {one.__name__: "\n" + re.sub(r"( ->|:) (Any|None)\b", "", inspect.getsource(one)) for one in shared}
     laws = "\n\n".join(sources[name] for name in sorted(sources))
     return head + laws + BODY.format(calls=calls, gears=GEARS if geared else "", settled=SETTLED)

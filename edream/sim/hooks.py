@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 from mujoco import batch
 
+from edream.sim.friction import way
 from edream.sim.limits import let_through, limits_of
 from edream.sim.memory import at_rest, recent
 from edream.sim.simulation import SimulatedRobot, hook_index, late_last
@@ -15,7 +16,7 @@ from edream.sim.simulation import SimulatedRobot, hook_index, late_last
 class BatchState:
     """What hooks see of a batch: `edream.core.effect.State` for N simulations."""
 
-    recent, let_through = recent, let_through
+    recent, let_through, way = recent, let_through, way
 
     def __init__(
         self, simulations: batch.Batch, start: Float[np.ndarray, "N"] | float = 0.0, past: Callable[[int, float], Any] | None = None

@@ -85,14 +85,16 @@ def home(effect: Effect) -> tuple[str, tuple[str, ...], tuple[str, ...]]:
 
 
 def load(name: str) -> Effect:
-    """The library's entry, or with a + behind its name its finer form."""
-    entry = catalog.load("effects", name.removesuffix("+"), Effect)
-    return entry.finer if name.endswith("+") and entry.finer else entry
+    """The library's entry; with a + behind its name its finer form, with a ~ the one beside friction that creeps."""
+    entry = catalog.load("effects", name.rstrip("+~"), Effect)
+    other = {"+": entry.finer, "~": entry.creeping}.get(name[-1])
+    return other or entry
 
 
-# and the finer forms that have one more number which may be absent
+# and the forms beside friction that creeps, and the finer ones that have one more number which may be absent
 FORMS = (
     *NAMES,
+    *(f"{n}~" for n in NAMES if load(n).creeping),
     *(
         f"{n}+"
         for n in NAMES
