@@ -64,7 +64,7 @@ def test_a_group_keeps_the_joints_that_an_effect_is_on(
     ],
 )
 def test_what_keeps_a_joint_in_a_group(value: float, interval: tuple[float, float], stays_alike: bool, stays_apart: bool) -> None:
-    problem, name = SimpleNamespace(robot=_robot(False), settings=Settings(), scaled={}), "actuator_delay.time[pan]"
+    problem, name = SimpleNamespace(robot=_robot(False), settings=Settings(), scaled={}, creep=None), "actuator_delay.time[pan]"
     space = SimpleNamespace(mapping=lambda values: {name: value})
     own = SimpleNamespace(space=space, values=None, intervals=lambda: {name: interval})
     for same, stays in ((True, stays_alike), (False, stays_apart)):
