@@ -16,6 +16,7 @@ from edream.catalog import load
 from edream.core.effect import Effect
 from edream.diagnosis.another_way import by_another_way
 from edream.diagnosis.backward import stands
+from edream.diagnosis.by_two import by_two
 from edream.diagnosis.candidates import Candidate, acted_on, standing
 from edream.diagnosis.decide import DISTINCT, Round
 from edream.diagnosis.descent import Fit, begin, polish
@@ -116,7 +117,8 @@ def bears_out(found: Searched) -> bool:
 def _from_usual_numbers(problem: Problem, done: Report) -> Searched:
     problem, before = with_shares(problem, fit_nuisance(problem))
     done("nuisance", 1)
-    return Searched(*by_another_way(*forward(problem, before, done), done))
+    found = by_two(*forward(problem, before, done), done)
+    return Searched(*by_another_way(*found, done))
 
 
 def rests_on_one(problem: Problem, errors: Float[np.ndarray, "M"]) -> int | None:
