@@ -26,16 +26,9 @@ def by_two(
 ) -> tuple[Problem, Fit, list[Round]]:
     """What `forward` found, or, where it named nothing, what it finds from its best candidate on, if only that leaves no clear gap.
 
-    It goes on from there only where a further candidate promises to leave clearly less than a formula does, if there is one.
+    It goes on from there only where a further candidate promises to leave clearly less than the best one, and than a formula does.
 
-    Args:
-        problem: with the steps that `forward` took.
-        fit: its end.
-        rounds: its rounds.
-        done: called with what is under way and how many units of it are finished.
-
-    Returns:
-        What `forward` returns.
+    Takes and returns what `edream.diagnosis.another_way.by_another_way` does.
     """
     first = rounds[0]
     left = first.errors if first.formula is None else first.formula.errors
@@ -51,9 +44,9 @@ def by_two(
 
 
 def shows_more(problem: Problem, fit: Fit, left: Float[np.ndarray, "M"], done: Callable[[str, int], object]) -> bool:
-    """Whether some candidate beside those of a fit surely leaves motions left out clearly nearer than `left` [rad^2], (M,)."""
+    """Whether some candidate beside a fit surely leaves clearly less than it does, and than `left` [rad^2], (M,)."""
     errors = left_out_errors(problem, fit)
     scored = screen_twice(problem, fit, lambda n: done("screening", n))
     trials = try_best(problem, fit, errors, scored, lambda n: done("refitting", n))
-    floor = problem.floor**2
-    return any(t.sure and t.errors.mean() - floor < CLEARLY * (left.mean() - floor) for t in trials)
+    least, floor = min(left.mean(), errors.mean()), problem.floor**2
+    return any(t.sure and t.errors.mean() - floor < CLEARLY * (least - floor) for t in trials)

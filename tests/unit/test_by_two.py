@@ -62,11 +62,12 @@ def test_the_best_candidate_goes_on_where_another_shows_beside_it(leaning: Simpl
         ([left_by("lag", 64.0, 0.36)], FORMULA, 9.0, 1.1, []),  # at its end it may be absent
         ([left_by("dead_zone", 64.0, 0.36)], 8.0, 2.0, 1.1, []),  # a formula leaves no clear gap
         ([left_by("dead_zone", 64.0, 0.36)], FORMULA, 50.0, 1.1, []),  # both leave nearly as much as the formula
+        ([left_by("dead_zone", 64.0, 0.36)], None, 60.0, 1.1, []),  # or, without one, as the best candidate
         ([left_by("dead_zone", 64.0, 0.36)], FORMULA, 9.0, 9.5, ["dead_zone"]),  # in the end a clear gap is left
     ],
 )
 def test_otherwise_nothing_is_named(
-    leaning: SimpleNamespace, trials: list[Trial], formula: float, beside: float, ends: float, begun: list[str]
+    leaning: SimpleNamespace, trials: list[Trial], formula: float | None, beside: float, ends: float, begun: list[str]
 ) -> None:
     leaning.beside, leaning.ends = left_by("gravity_tilt", beside), ends
     rounds = unnamed(trials, formula)
