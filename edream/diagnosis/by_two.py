@@ -1,7 +1,7 @@
 """Two effects at once: where nothing is named and a clear gap is left, the best candidate is looked at with another one beside it.
 
-Of two effects on one joint each may close less than half of what both do, and a formula more than either: a servo with a dead zone
-closed a third on a base that leans, which closed nothing alone.
+Of two effects that show on one joint each may close less than half of what both do, and a formula more than either: a servo with a
+dead zone closed a third on a base that leans, which closed nothing alone.
 """
 
 from collections.abc import Callable, Sequence
