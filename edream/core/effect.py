@@ -100,6 +100,7 @@ class Effect(ABC):
         of_position_servo: whether it acts on what a servo makes of a commanded position, and so not under torque or speed commands.
         special: a simpler effect that this one is where one of its quantities has a certain value: (effect, quantity, value).
         finer: the same effect with one number more that only some motions tell; its other numbers come first, in the same order.
+        reads_past: whether what is read is what was before: a stretch that begins at a reading repeats it, with any model.
         of_creep: whether it shows beside friction that lets stuck joints creep where it does not beside friction that holds.
         creeping: the same effect, with the same numbers, beside friction that lets stuck joints creep; None where it is no other.
         softer: the same effect in other forms with one number more, of which a robot may have one; its other numbers come first.
@@ -118,6 +119,7 @@ class Effect(ABC):
     shifts_links: bool = False
     of_position_servo: bool = False
     special: tuple[str, str, float] | None = None
+    reads_past: bool = False
     of_creep: bool = False
     finer: "Effect | None" = None
     creeping: "Effect | None" = None

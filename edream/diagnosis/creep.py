@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 from edream.catalog import load
 from edream.core.effect import Effect
 from edream.diagnosis.candidates import Candidate, library, placement
-from edream.diagnosis.descent import Fit, begin, descend
+from edream.diagnosis.descent import Fit, begin, descend, polish
 from edream.diagnosis.left_out import SEEN, bootstrap, gap_above_floor, leaves_no_gap, left_out_errors, worst_joint
 from edream.diagnosis.problem import Problem
 from edream.diagnosis.screen import Scored, extend
@@ -45,7 +45,8 @@ def creeping(problem: Problem, fit: Fit, errors: Float[np.ndarray, "M"]) -> Cree
     if few.rms**2 - best.rms**2 < least * (few.rms**2 - problem.floor**2):
         return None
     softer = replace(problem, creep=form)
-    end = _softened(fit, best, form, FURTHER)
+    begun = [_softened(fit, one, form, 0) for one in (best, fit)]  # what suits a few motions may lead all of them astray
+    end = descend(min(begun, key=lambda one: one.rms), None, FURTHER)
     left = left_out_errors(softer, end)
     low, _ = bootstrap(errors - left, problem.settings.seed)
     enough = errors.mean() - left.mean() >= least * (errors.mean() - problem.floor**2)
@@ -109,6 +110,13 @@ def creeping_with(problem: Problem, fit: Fit, trials: Sequence[Trial]) -> tuple[
     errors = left_out_errors(softer, end)
     lead = judged(softer, gone_on(end, both), errors, Scored(candidate, {}, 0.0))
     return (Creeping(softer, end, errors), lead) if lead.sure else None
+
+
+def softened(found: Creeping, trial: Trial) -> Trial:
+    """A refitted candidate with friction that creeps beside it."""
+    form = found.problem.creep
+    assert form is not None
+    return judged(found.problem, polish(_softened(trial.fit, trial.fit, form, ARRIVING)), found.errors, trial)
 
 
 def _forms(problem: Problem, fit: Fit) -> tuple[Effect, ...]:

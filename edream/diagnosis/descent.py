@@ -128,13 +128,13 @@ def own_rows(objective: Objective, residual: Float[np.ndarray, "R"]) -> Bool[np.
     return np.tile(objective.acts_on.T, (len(residual) // objective.acts_on.shape[1], 1))
 
 
-def stretches(fit: Fit) -> list[Window]:
+def stretches(fit: Fit, seconds: float = STRETCH) -> list[Window]:
     """The fit's motions cut into short stretches that restart at measured states: their errors have few false valleys."""
-    return [part for window in fit.objective.windows for part in _cut(window)]
+    return [part for window in fit.objective.windows for part in _cut(window, seconds)]
 
 
-def _cut(window: Window) -> list[Window]:
-    count = max(1, round(float(window.times[-1]) / STRETCH))
+def _cut(window: Window, seconds: float) -> list[Window]:
+    count = max(1, round(float(window.times[-1]) / seconds))
     rows = np.searchsorted(window.times, np.linspace(0.0, window.times[-1], count + 1)) + window.first
     return [Window(window.episode, int(a), int(b)) for a, b in pairwise(rows) if b > a]
 

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from edream.diagnosis.astray import screen_twice
 from edream.diagnosis.backward import nearer_without, passes, stands
 from edream.diagnosis.candidates import untouched
-from edream.diagnosis.creep import creeping, creeping_with, is_far_ahead, is_missing_beside, outdoes
+from edream.diagnosis.creep import creeping, creeping_with, is_far_ahead, is_missing_beside, outdoes, softened
 from edream.diagnosis.decide import Round, restarted, settled, simplest, simplified, told_apart, with_confusable
 from edream.diagnosis.descent import Fit, polish
 from edream.diagnosis.ends import arrived
@@ -28,7 +28,11 @@ STAND_INS = 2  # names that together close less than half of a real gap: no furt
 
 
 def forward(
-    problem: Problem, fit: Fit, done: Callable[[str, int], object] = lambda text, n: None, taken_before: Sequence[Round] = ()
+    problem: Problem,
+    fit: Fit,
+    done: Callable[[str, int], object] = lambda text, n: None,
+    taken_before: Sequence[Round] = (),
+    known: Sequence[Trial] = (),
 ) -> tuple[Problem, Fit, list[Round]]:
     """Add effects while they pass, the best on left-out motions first; before each, steps are made as short as they need to be.
 
@@ -38,13 +42,13 @@ def forward(
     An earlier name gives way to what it was not told from, where that leaves far less beside the one that came last.
 
     The first round begins anew as long as candidates show that the usual numbers stand in a false valley. `taken_before` are rounds
-    that led to the fit, if any.
+    that led to the fit, if any, and `known` candidates beside it that have been refitted already.
 
     Returns:
         The problem with the steps that were taken, the final fit, and every round, the last of which took nothing unless the most
         effects were reached.
     """
-    rounds, leads = list(taken_before), list[Trial]()
+    rounds, leads = list(taken_before), list(known)
     while len(rounds) < problem.settings.most:
         problem, fit = with_short_steps(problem, fit)
         errors = predicted(problem, fit, rounds[-1].taken if rounds else None)
@@ -62,7 +66,7 @@ def forward(
             continue
         softer = creeping(problem, fit, errors)
         if softer is not None and (is_far_ahead(softer, problem, errors, trials) or is_missing_beside(softer, problem, trials)):
-            problem, fit = softer.problem, softer.fit
+            problem, fit, leads = softer.problem, softer.fit, [softened(softer, one) for one in leads]
             continue
         if (together := creeping_with(problem, fit, trials)) is not None:
             softer, lead = together
@@ -77,7 +81,7 @@ def forward(
         trials = restarted(problem, errors, trials)
         trials = simplified(problem, fit, errors, trials)
         if softer is not None and outdoes(softer, trials, problem.settings.seed):
-            problem, fit = softer.problem, softer.fit
+            problem, fit, leads = softer.problem, softer.fit, [softened(softer, one) for one in leads]
             continue
         if not rounds and (formula := outdone(problem, fit, errors, trials)) is not None:
             rounds.append(Round(fit, errors, scored, trials, None, formula))

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from edream.diagnosis.candidates import Candidate, acted_on, library, placement, probes_of
-from edream.diagnosis.descent import Fit, begin, descend, stretches
+from edream.diagnosis.descent import STRETCH, Fit, begin, descend, stretches
 from edream.diagnosis.few import ENOUGH, thinned
 from edream.diagnosis.left_out import (
     HALF,
@@ -213,9 +213,9 @@ def try_boldly(
     return sorted(trials, key=lambda t: -t.closed)
 
 
-def on_stretches(problem: Problem, fit: Fit) -> Fit:
+def on_stretches(problem: Problem, fit: Fit, seconds: float = STRETCH) -> Fit:
     """The fit on its motions cut into short stretches, whose errors have few false valleys; in the published steps."""
-    objective = replace(fit.objective, windows=stretches(fit), simulations=0)
+    objective = replace(fit.objective, windows=stretches(fit, seconds), simulations=0)
     there = replace(fit, objective=objective, residual=objective.residuals(fit.values)[0])
     return begin(with_long_steps(problem, there).objective, fit.unit)
 

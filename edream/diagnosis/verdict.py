@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import dropwhile
 
 import numpy as np
 from jaxtyping import Float
@@ -17,7 +18,6 @@ from edream.diagnosis.doubts import asked_again, doubtful, others_of
 from edream.diagnosis.exchange import exchanged
 from edream.diagnosis.finer import with_plain
 from edream.diagnosis.left_out import (
-    SEEN,
     SEEN_ORDINARY,
     bootstrap,
     does_better,
@@ -235,11 +235,14 @@ def behind_numbers(
         fit, numbers = (fit, numbers) if trials else (before, [])  # strange only beside what went out: no answer alone
     if (numbers or suspects) and not trials:
         home = without_numbers(problem, fit, numbers, suspects)
-        better, seen = (suspects[0].fit, SEEN_ORDINARY) if suspects else (fit, SEEN)
-        if does_better(problem, better, home, seen):
+        suspects = list(dropwhile(lambda one: not does_better(problem, one.fit, home, SEEN_ORDINARY), suspects))
+        if numbers and not suspects:  # what explains them is no better; they may still be what is missing
+            home = without_numbers(problem, fit, numbers, [])
+            numbers = numbers if does_better(problem, fit, home) else []
+        if numbers or suspects:
             before = home
         else:  # ordinary numbers meet motions left out as well, which is no news
-            fit, numbers, suspects = home, [], []
+            fit = home
     return replace(found, before=before, fit=fit, trials=trials, numbers=numbers, suspects=suspects)
 
 

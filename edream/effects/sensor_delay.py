@@ -26,6 +26,7 @@ class SensorDelay(Effect):
     summary = "a delay of the measurements"
     place = "joint"
     confusable = ("actuator_delay", "actuator_lag", "viscous")
+    reads_past = True
 
     def parameters(self, model: mujoco.MjModel, targets: Sequence[str]) -> tuple[Parameter, ...]:
         return (Parameter("time", "s", 0.0, LONGEST - 2 * float(model.opt.timestep), 0.0, absent=0.0),)

@@ -115,4 +115,4 @@ def by_run(inputs: Mapping[str, Artifact]) -> dict[str, dict[str, Artifact]]:
     return found
 
 
-ENTRY = Stage("report", 11, needs, ReportConfig, run, None, ("matplotlib",))
+ENTRY = Stage("report", 12, needs, ReportConfig, run, None, ("matplotlib",))

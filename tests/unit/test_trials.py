@@ -134,7 +134,7 @@ def _diagnosed(monkeypatch: pytest.MonkeyPatch, strange: verdict.Named, told: di
         "without_numbers": lambda problem, fit, numbers, suspects: FitOf(
             f"without {suspects[0].candidate.effect if suspects else numbers[0].name}", 1.0
         ),
-        "does_better": lambda problem, fit, other, seen: True,
+        "does_better": lambda problem, fit, other, seen=0.1: True,
         "placement": lambda problem, candidate: candidate,
         "numbers_of": lambda problem, fit, place: ({}, {}, {}),
         "find_remainder": lambda problem, fit, beside_names=False: None,
@@ -155,19 +155,29 @@ def _diagnosed(monkeypatch: pytest.MonkeyPatch, strange: verdict.Named, told: di
 
 
 @pytest.mark.parametrize(
-    ("floors", "behind", "expected", "named", "shown", "written"),
+    ("floors", "behind", "better", "expected", "named", "shown", "written"),
     [
-        (1.0, False, "named", ["servo_gain"], "without servo_gain", "usual"),
-        (6.0, False, "unnamed", [], "usual", "usual"),
-        (1.0, True, "cannot_tell", ["spring"], "without spring", "with a spring"),
-        (1.0, None, "none", [], "without servo_gain", "without servo_gain"),
-        (6.0, True, "unnamed", [], "usual", "usual"),
+        (1.0, False, ["usual"], "named", ["servo_gain"], "without servo_gain", "usual"),
+        (6.0, False, ["usual"], "unnamed", [], "usual", "usual"),
+        (1.0, True, ["usual", "with a spring"], "cannot_tell", ["spring"], "without spring", "with a spring"),
+        (1.0, True, ["usual"], "named", ["servo_gain"], "without servo_gain", "usual"),
+        (1.0, True, [], "none", [], "without servo_gain", "without servo_gain"),
+        (1.0, False, [], "none", [], "without servo_gain", "without servo_gain"),
+        (6.0, True, ["usual", "with a spring"], "unnamed", [], "usual", "usual"),
     ],
 )
 def test_strange_numbers_are_an_answer_only_where_nothing_is_left(
-    monkeypatch: pytest.MonkeyPatch, floors: float, behind: bool | None, expected: str, named: list[str], shown: str, written: str
+    monkeypatch: pytest.MonkeyPatch,
+    floors: float,
+    behind: bool,
+    better: list[str],
+    expected: str,
+    named: list[str],
+    shown: str,
+    written: str,
 ) -> None:
-    """What stands behind them is named instead, and is in the model that is written; neither where ordinary ones do as well."""
+    """What stands behind them is named instead, and is in the model that is written; neither where ordinary ones do as well, and
+    the numbers themselves where these do as well as what stands behind them alone."""
     spring = Suspect(Candidate("spring", ("tilt",)), FitOf("with a spring", 1.0), 9.0)  # type: ignore[arg-type]
     gain = verdict.Named("servo_gain", "another servo gain", ("tilt",), {}, {}, {}, 0.0, None, ())
     errors = np.full(4, (floors * 1e-3) ** 2)
@@ -177,7 +187,7 @@ def test_strange_numbers_are_an_answer_only_where_nothing_is_left(
         "searched": lambda problem, done: Searched(problem, FitOf("usual", 1.0), [nothing]),  # type: ignore[arg-type]
         "backward": lambda problem, fit, candidates, first: (fit, []),
         "find_suspects": lambda problem, fit, strange, done: [spring] if behind else [],
-        "does_better": lambda problem, fit, other, seen: behind is not None,
+        "does_better": lambda problem, fit, other, seen=0.1: fit.name in better,
     }
     found = _diagnosed(monkeypatch, gain, told)
     assert found.verdict == expected and [one.name for one in found.effects] == named
