@@ -15,7 +15,7 @@ from edream.catalog import load
 from edream.core.effect import Effect
 from edream.diagnosis.backward import refitted_without, without
 from edream.diagnosis.candidates import Candidate, library
-from edream.diagnosis.creep import creeping
+from edream.diagnosis.creep import TOGETHER, creeping
 from edream.diagnosis.descent import Fit, begin, descend, polish
 from edream.diagnosis.few import ENOUGH, thinned
 from edream.diagnosis.left_out import left_out_errors, worst_joint
@@ -32,7 +32,6 @@ SHORT = 0.2  # s
 LEADS = 3  # of what is nearest alone
 USUAL, ARRIVING, CLOSE = 8, 20, 1e-3  # steps, and the relative gain below which the last ones have arrived
 AS_NEAR = 1.1  # times the error of an effect: its special case is as near
-LESS = 0.5  # of the squared error above the floor that a pair leaves: beside it friction creeps where that leaves no more
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +110,7 @@ def _with_creep(problem: Problem, end: Fit) -> tuple[Problem, Fit]:
     errors = left_out_errors(problem, end)
     softer = creeping(problem, end, errors)
     floor = problem.floor**2
-    if softer is None or softer.errors.mean() - floor > LESS * (errors.mean() - floor):
+    if softer is None or softer.errors.mean() - floor > TOGETHER * (errors.mean() - floor):
         return problem, end
     return softer.problem, polish(descend(softer.fit, None, ARRIVING, CLOSE))
 
