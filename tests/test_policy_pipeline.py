@@ -124,6 +124,20 @@ def test_every_policy_that_learned_from_trials_says_how(made, recorded: Path) ->
     assert text.count("<td>RL, rl.rounds=1, 1 view</td>") == 2 and text.count("<td>RL, 1 view</td>") == 3, "its rate and its rounds"
 
 
+def test_a_round_with_nothing_to_learn_from_keeps_the_policy_and_the_rest_is_judged(made, recorded: Path) -> None:
+    """One simulator of an ablation in which no trial succeeds ended the whole of it."""
+    more = ("rl.rounds=1", "run=idle", "evaluate.films=0", "rank.margin=10")
+    artifacts = pipeline.make_run("train-policy", ("evaluate", "report"), settings(recorded, Path(made[0].runs), *more))[0]
+    idle = pipeline.chain(pipeline.open_store(made[0]), artifacts["evaluate"])["rl"]
+    before = pipeline.chain(pipeline.open_store(made[0]), idle)["rollouts"]["policy.safetensors"]
+    assert all(np.array_equal(before[name], idle["policy.safetensors"][name]) for name in before)
+    (row,) = idle["history.json"]
+    assert (row["pairs"], row["steps"], row["kept_step"]) == (0, 0, 0) and row["before"] == row["kept"]
+    assert "0 of 4 trials succeeded, and none went better" in idle["summary.json"]["sentence"]
+    said = "Nothing was learned in round 1: 0 of 4 trials succeeded"
+    assert said in artifacts["evaluate"]["summary.json"]["sentence"] and "figure-ratios-" not in artifacts["report"]["report.html"]
+
+
 def test_a_round_is_played_by_the_policy_of_the_round_before(made) -> None:
     cfg, artifacts = made
     first = pipeline.make("rl", settings_of(cfg, 1))

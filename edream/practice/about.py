@@ -11,7 +11,7 @@ from edream import catalog
 from edream.learn.checkpoint import fill
 from edream.learn.policy import FittedPolicy, Policy, PolicyShape, Scale, Seen
 
-WEIGHTS, ABOUT = "policy.safetensors", "policy.json"
+WEIGHTS, ABOUT, HISTORY = "policy.safetensors", "policy.json", "history.json"
 
 
 @dataclass(frozen=True, eq=False)

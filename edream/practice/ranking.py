@@ -2,11 +2,12 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
 
-from edream.core.errors import EdreamError, require
+from edream.core.errors import require
 
 
 @dataclass(frozen=True)
@@ -84,27 +85,36 @@ def _counted(distance: float, margin: float) -> float:
     return near if margin == 0.0 else margin * float(np.floor(near / margin))
 
 
-def require_pairs(pairs: pa.Table, done: int, trials: int) -> None:
-    """Refuse to learn from nothing.
+def why_no_pairs(done: int, trials: int) -> str:
+    """Why there is nothing to learn from trials of which no two of a start differ by the margin, and what to do about it.
 
     Args:
         done: how many of the trials succeeded.
-
-    Raises:
-        EdreamError: no pair differs by the margin.
+        trials: how many were played.
     """
-    if len(pairs):
-        return
     if done == trials:
-        raise EdreamError(
+        return (
             f"All {trials} trials succeeded, so that there is nothing to learn from them; ask for fewer rounds with rl.rounds, or "
             "leave more to chance with rollouts.noise.action."
         )
     mend = (
-        "the supervised policy does not work in the simulator: train it with sft.twins=true or longer, or look at rollouts.eyes"
+        "the policy does not work in the simulator: calibrate or diagnose it first, train with sft.twins=true or longer, or look "
+        "at rollouts.eyes"
         if not done
         else "raise rollouts.noise.action or rollouts.samples, or lower rank.margin"
     )
-    raise EdreamError(
-        f"{done} of {trials} trials succeeded, and none went better than another of its start by rank.margin; {mend}."
-    )
+    return f"{done} of {trials} trials succeeded, and none went better than another of its start by rank.margin; {mend}."
+
+
+def taught_nothing(history: Sequence[Mapping[str, Any]]) -> str:
+    """The rounds of a policy that had nothing to learn from, in a sentence with the first one's reason; empty where all had.
+
+    Args:
+        history: a row a round, with `round`, `trials`, `trial_success` (a share) and `pairs`.
+    """
+    idle = [row for row in history if not row["pairs"]]
+    if not idle:
+        return ""
+    rounds = ", ".join(str(row["round"]) for row in idle)
+    why = why_no_pairs(round(idle[0]["trial_success"] * idle[0]["trials"]), idle[0]["trials"])
+    return f"Nothing was learned in round{'s' if len(idle) > 1 else ''} {rounds}: {why[0].lower()}{why[1:]}"

@@ -11,6 +11,7 @@ from markupsafe import Markup
 from matplotlib.figure import Figure as Canvas
 
 from edream.practice.naming import brief
+from edream.practice.ranking import taught_nothing
 from edream.report.page import AFTER, BEFORE, COMMAND, PUBLISHED, Figure, draw, log_scale, page
 from edream.report.recordings import about_recordings
 
@@ -45,7 +46,11 @@ def policy_page(made: Mapping[str, Mapping[str, Any]], robot: str) -> str:
         "curves": [
             _supervised(sft["losses.json"]),
             *([_rounds(histories)] if histories else []),
-            *(_ratios(number, name, made[policy]["losses.json"]) for number, (policy, name) in enumerate(tried.items())),
+            *(
+                _ratios(number, name, told)
+                for number, (policy, name) in enumerate(tried.items())
+                if (told := made[policy]["losses.json"])
+            ),
         ],
         "history": [{"policy": name} | row for name, history in histories.items() for row in history],
         "stages": [("SFT", sft["summary.json"]["sentence"]), *((name, _made(made[policy])) for policy, name in tried.items())],
@@ -60,7 +65,8 @@ def _made(one: Mapping[str, Any]) -> str:
     if len(history) < 2:
         return str(one["summary.json"]["sentence"])
     first, last = (100 * row["success"] for row in (history[0]["before"], history[-1]["kept"]))
-    return f"{len(history)} rounds of trials: success on held-out starts in the simulator from {first:.0f} % to {last:.0f} %."
+    said = f"{len(history)} rounds of trials: success on held-out starts in the simulator from {first:.0f} % to {last:.0f} %."
+    return f"{said} {taught_nothing(history)}".rstrip()
 
 
 def _row(row: Mapping[str, Any]) -> dict[str, str]:

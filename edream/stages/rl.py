@@ -19,19 +19,17 @@ from edream.learn.determinism import deterministic
 from edream.learn.device import acting_on, device_of
 from edream.learn.preference import Preference
 from edream.learn.training import AVERAGE, Ahead, new_state, part, train
-from edream.practice.about import ABOUT, WEIGHTS, PolicyAbout
+from edream.practice.about import ABOUT, HISTORY, WEIGHTS, PolicyAbout
 from edream.practice.collecting import Manner, Player, collected, outcomes_of
 from edream.practice.demonstrations import ChunkBatches
 from edream.practice.dreaming import eyes_of
 from edream.practice.imitating import Successes
 from edream.practice.learning import Drawn, Lessons, Played, RlOptions, reference_of, shall_stop
 from edream.practice.options import PolicyOptions, SftOptions
-from edream.practice.ranking import require_pairs
+from edream.practice.ranking import why_no_pairs
 from edream.practice.rehearsing import RolloutOptions, calm, cell_of, needs_of, physics_for, shards_of, sources_of
 from edream.practice.sampling import demonstrations, held_out, scenes_of, with_twins
 from edream.vision.variants import DreamOptions
-
-HISTORY = "history.json"
 
 
 @dataclass(frozen=True)
@@ -78,42 +76,32 @@ def needs(config: RlConfig) -> tuple[str, ...]:
 
 def run(inputs: Mapping[str, Artifact], config: RlConfig, work: Work) -> Bundle:
     """Learn in pieces that are kept, try held-out starts after each, keep the best."""
-    rolled, ranking, options = inputs["rollouts"], inputs["rank"], config.rl
+    rolled, pairs = inputs["rollouts"], len(inputs["rank"]["pairs.parquet"])
     about = PolicyAbout.of(rolled[ABOUT])
-    names = sorted(name for name in rolled if name.startswith("trials/"))
-    played = Played.of([rolled[name] for name in names], about)
-    require_pairs(ranking["pairs.parquet"], rolled["summary.json"]["success"]["successes"], len(played))
-    device = device_of(config.policy.device, "policy.device")
-    with deterministic():
-        against = rolled if catalog.load("preferences", config.policy.rl, Preference).region else inputs["sft"]
-        still = about.network(_tensors(against[WEIGHTS])).to(device)
-        reference = reference_of(still, played, about, device)
-        lessons = Lessons(
-            config.policy.rl, options, played, reference, ranking["ranks.parquet"], ranking["pairs.parquet"], config.seed
-        )
-        successes = Successes.of(played, ranking["ranks.parquet"], about, config.sft.batch, config.seed, options.shake)
-        pieces = _trained(about, lessons, (_demonstrations(inputs, about, config, work), successes), rolled, config, work)
+    pieces = _learned(inputs, about, config, work) if pairs else []
     tried = _tried(pieces, rolled, about, inputs, config, work)
     best = max(range(len(tried)), key=lambda i: (tried[i]["success"], -tried[i]["distance_m"], -i))
     weights = rolled[WEIGHTS] if best == 0 else pieces[best - 1][WEIGHTS]
     told = [row for one in pieces for row in one["told.json"]["steps"]]
-    round_ = options.rounds
+    round_, success = config.rl.rounds, rolled["summary.json"]["success"]
     row = {
         "round": round_,
-        "trials": len(played),
-        "pairs": len(ranking["pairs.parquet"]),
-        "trial_success": rolled["summary.json"]["success"]["share"],
+        "trials": success["trials"],
+        "pairs": pairs,
+        "trial_success": success["share"],
         "steps": len(told),
-        "stopped": bool(pieces[-1]["told.json"]["stop"]),
+        "stopped": bool(pieces and pieces[-1]["told.json"]["stop"]),
         "kept_step": 0 if best == 0 else pieces[best - 1]["told.json"]["step"],
         "before": tried[0],
         "kept": tried[best],
-        "chosen": told[-1]["chosen"],
-        "rejected": told[-1]["rejected"],
+        "chosen": told[-1]["chosen"] if told else None,
+        "rejected": told[-1]["rejected"] if told else None,
     }
+    first, last = (100 * tried[number]["success"] for number in (0, best))
+    held = f"success on held-out starts in the simulator from {first:.0f} % to {last:.0f} %."
+    said = held if pairs else why_no_pairs(success["successes"], success["trials"])
     summary = {
-        "sentence": f"Round {round_} of {config.policy.rl}: success on held-out starts in the simulator from "
-        f"{100 * tried[0]['success']:.0f} % to {100 * tried[best]['success']:.0f} %.",
+        "sentence": f"Round {round_} of {config.policy.rl}: {said}",
         **row,
         "weights_digest": weights_digest(weights),
     }
@@ -126,6 +114,20 @@ def run(inputs: Mapping[str, Artifact], config: RlConfig, work: Work) -> Bundle:
         "tried.json": tried,
         "summary.json": summary,
     }
+
+
+def _learned(inputs: Mapping[str, Artifact], about: PolicyAbout, config: RlConfig, work: Work) -> Sequence[Artifact]:
+    """The pieces of a round that has something to learn from."""
+    rolled, ranking, options = inputs["rollouts"], inputs["rank"], config.rl
+    played = Played.of([rolled[name] for name in sorted(name for name in rolled if name.startswith("trials/"))], about)
+    ranks, device = ranking["ranks.parquet"], device_of(config.policy.device, "policy.device")
+    with deterministic():
+        against = rolled if catalog.load("preferences", config.policy.rl, Preference).region else inputs["sft"]
+        still = about.network(_tensors(against[WEIGHTS])).to(device)
+        reference = reference_of(still, played, about, device)
+        lessons = Lessons(config.policy.rl, options, played, reference, ranks, ranking["pairs.parquet"], config.seed)
+        successes = Successes.of(played, ranks, about, config.sft.batch, config.seed, options.shake)
+        return _trained(about, lessons, (_demonstrations(inputs, about, config, work), successes), rolled, config, work)
 
 
 def _trained(

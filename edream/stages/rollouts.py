@@ -6,15 +6,13 @@ from dataclasses import dataclass
 from edream.calibration.settings import RobotSettings, SpaceSettings
 from edream.core.stage import Artifact, Bundle, Source, Stage, Work
 from edream.learn.device import acting_on
-from edream.practice.about import ABOUT, WEIGHTS, PolicyAbout
+from edream.practice.about import ABOUT, HISTORY, WEIGHTS, PolicyAbout
 from edream.practice.collecting import TRIALS, Manner, Player, collected, outcomes_of
 from edream.practice.dreaming import eyes_of
 from edream.practice.options import Acting
 from edream.practice.rates import rate
 from edream.practice.rehearsing import RolloutOptions, cell_of, needs_of, physics_for, require_task, shards_of, sources_of
 from edream.vision.variants import DreamOptions
-
-HISTORY = "history.json"
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,7 @@
 """Learning from trials that went better or worse: signs, anchors, ranking, rates."""
 
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -9,10 +10,9 @@ import pytest
 import torch
 
 from edream import catalog
-from edream.core.errors import EdreamError
 from edream.learn.policy import log_likelihood
 from edream.learn.preference import Judged, Preference, PreferenceOptions
-from edream.practice.ranking import RankOptions, ranked, require_pairs
+from edream.practice.ranking import RankOptions, ranked, taught_nothing
 from edream.practice.rates import apart, paired, rate
 
 B = 0.1
@@ -96,15 +96,22 @@ def test_a_distance_below_the_margin_counts_no_more_for_the_advantage_than_for_p
     assert order[1] < order[0] < order[2] and order[4] < order[3]
 
 
-def test_the_widest_pairs_are_kept_and_none_at_all_is_a_sentence() -> None:
+def test_the_widest_pairs_are_kept() -> None:
     table = outcomes((1, False, 0.1), (1, False, 0.2), (1, False, 0.4))
     pairs = ranked(table, RankOptions(0.01, 1))[1]
     assert [(row["chosen"], row["rejected"]) for row in pairs.to_pylist()] == [(0, 2)]
-    none = ranked(outcomes((1, False, 0.1), (1, False, 0.1)), RankOptions())[1]
-    for done, mend in ((0, r"0 of 2 trials.*sft\.twins"), (1, r"1 of 2 trials.*rollouts\.samples"), (2, r"All 2.*rl\.rounds")):
-        with pytest.raises(EdreamError, match=mend):
-            require_pairs(none, done, 2)
-    require_pairs(pairs, 0, 3)
+    assert not len(ranked(outcomes((1, False, 0.1), (1, False, 0.1)), RankOptions())[1])
+
+
+@pytest.mark.parametrize(
+    "done, said",
+    [(0, r"0 of 2 trials.*calibrate.*sft\.twins"), (1, r"1 of 2 trials.*rollouts\.samples"), (2, r"All 2.*rl\.rounds")],
+)
+def test_rounds_without_pairs_are_told_with_the_reason_of_the_first(done: int, said: str) -> None:
+    idle = {"round": 2, "trials": 2, "trial_success": done / 2, "pairs": 0}
+    assert taught_nothing([idle | {"round": 1, "pairs": 3}]) == ""
+    told = taught_nothing([idle | {"round": 1, "pairs": 3}, idle, idle | {"round": 3, "trial_success": 1.0}])
+    assert told.startswith("Nothing was learned in rounds 2, 3: ") and re.search(said, told, re.IGNORECASE)
 
 
 def test_wilson_s_interval_is_the_one_in_the_books() -> None:
