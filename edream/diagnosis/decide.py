@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from jaxtyping import Float
@@ -9,7 +10,7 @@ from jaxtyping import Float
 from edream.catalog import load
 from edream.core.effect import Effect
 from edream.diagnosis.backward import passes, without
-from edream.diagnosis.candidates import Candidate, acted_on, confused_with, placement
+from edream.diagnosis.candidates import Candidate, acted_on, confused_with, placement, standing
 from edream.diagnosis.descent import Fit, begin, descend, polish
 from edream.diagnosis.ends import SHAPES, begun_again, to_their_ends
 from edream.diagnosis.finer import closes_more
@@ -21,9 +22,9 @@ from edream.diagnosis.left_out import (
 from edream.diagnosis.nearest import from_nearest, placed_at
 from edream.diagnosis.problem import Problem
 from edream.diagnosis.remainder import Remainder
-from edream.diagnosis.screen import Scored, extend
+from edream.diagnosis.screen import Scored, extend, with_quantities
 from edream.diagnosis.side_by_side import side_by_side
-from edream.diagnosis.starts import fresh_columns, in_all_strengths_beside_published, of_joints
+from edream.diagnosis.starts import fresh_columns, in_all_strengths, in_all_strengths_beside_published, of_joints
 from edream.diagnosis.suspects import elsewhere
 from edream.diagnosis.trials import (
     HOPELESS,
@@ -36,9 +37,12 @@ from edream.diagnosis.trials import (
     on_few,
     other_answers,
     refitted,
+    residual_among,
     rms_among,
 )
 from edream.sim.least_squares import worth
+from edream.sim.objective import Objective
+from edream.sim.simulation import Placement
 
 ALIKE = 0.9  # a rival that closes this share of what the winner closes may be the true one
 NEAR, RIVALS = 0.75, 5  # of the best one's gain; so many go on
@@ -48,6 +52,7 @@ AS_WELL = 0.95  # of the share that an effect closes: its special case closes as
 DISTINCT = 0.5  # of the floor squared, or of the error where that is larger
 FEWEST = 3  # motions that a difference may rest on
 TWIN_STEPS, FIRST_STEPS = 6, 2  # of a twin, whose joint's numbers have made up for it: a lag beside damping and inertia goes slowly
+AS_NEAR = 1.1  # times the best one's error on few motions: a twin beside the best one's numbers that needs no other beginning
 FORLORN = 0.2  # of the best one's gain on few motions: a twin that has gained less by its first steps is none
 GENERATIONS = 2  # of twins that are heard
 
@@ -226,18 +231,26 @@ def heard(
     # by a few steps with stale columns a lag is lost behind a delay
     tried = [t.candidate for t in trials if t.closed >= ALIKE * best.closed or t.candidate.targets != best.candidate.targets]
     twins = list({s.candidate: s for s in (*chosen.values(), *others) if s.candidate not in tried}.values())
-    few = on_few(problem, fit)
-    most = 1.0 - (rms_among(few, best.fit) / few.rms) ** 2
+    if not twins:
+        return []
+    few, bare = on_few(problem, fit), without(best.fit, best.candidate)
+    found, told = at_numbers_of(few, bare), rms_among(few, best.fit)
+    most = 1.0 - (told / few.rms) ** 2
+    enough = AS_NEAR * told if leaves_no_gap(problem, best.fit) else 0.0
 
     def refitted_there(one: Scored) -> Trial | None:
         joints = acted_on(one.candidate)
+        # what does the same has the same numbers, and may be far from there otherwise
+        ends = [from_nearest(problem, found, one, partial(as_much_as, best), TWIN_STEPS)]
+        if ends[0].rms <= enough:
+            return judged(problem, gone_on(bare, ends[0], joints), errors, one)
         begun = refitted(problem, few, one, iterations=FIRST_STEPS, joints=joints)
-        # damping and inertia that have made up for a lag leave it no slope beside them
-        ends = [from_nearest(problem, few, one, in_all_strengths_beside_published, TWIN_STEPS)] if joints else []
+        if joints:  # damping and inertia that have made up for a lag leave it no slope beside them
+            ends.append(from_nearest(problem, few, one, in_all_strengths_beside_published, TWIN_STEPS))
         if 1.0 - (begun.rms / few.rms) ** 2 >= FORLORN * most:
             own = fresh_columns(few, begun.objective) | of_joints(begun.objective, joints)
             ends.append(descend(begun, own, TWIN_STEPS - FIRST_STEPS))
-        end = min(ends, key=lambda one: one.rms, default=few)
+        end = min(ends, key=lambda one: one.rms)
         hopeful = 1.0 - (end.rms / few.rms) ** 2 >= HOPELESS * most
         return judged(problem, gone_on(fit, end, joints), errors, one) if hopeful else None
 
@@ -246,6 +259,27 @@ def heard(
         more += [trial] if trial is not None else []
         done(1)
     return more
+
+
+def at_numbers_of(few: Fit, fit: Fit) -> Fit:
+    """A fit on few motions at the numbers of another one of the same model, which was fitted to more."""
+    return replace(few, unit=fit.unit, residual=residual_among(few, fit))
+
+
+def as_much_as(
+    best: Trial, problem: Problem, place: Placement, extended: Objective, absent: Float[np.ndarray, "P"]
+) -> list[Float[np.ndarray, "P"]]:
+    """Parameter sets, (P,): an effect in all its strengths, and with the quantities of another one as far as it has them, too."""
+    own = standing(problem, best.candidate, best.fit.objective.simulated)
+    found = best.fit.space.mapping(best.fit.values)
+    shared = {p.name for p in own.parameters(problem.robot.model)}
+    same = {
+        p.name: float(np.clip(found[own.full_name(p.name)], p.low, p.high))
+        for p in place.effect.parameters(problem.robot.model, place.targets)
+        if own.full_name(p.name) in shared
+    }
+    begun = in_all_strengths(problem, place, extended, absent)
+    return [with_quantities(extended, absent, [place], [same]), *begun] if same else begun
 
 
 def rivals(problem: Problem, trials: Sequence[Trial], winner: Trial) -> list[tuple[Trial, bool]]:

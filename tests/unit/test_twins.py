@@ -7,16 +7,20 @@ import numpy as np
 import pytest
 
 from edream.diagnosis import candidates, decide
-from edream.diagnosis.candidates import Candidate
-from edream.diagnosis.screen import Scored
+from edream.diagnosis.candidates import Candidate, placement
+from edream.diagnosis.screen import Scored, extend
+from edream.diagnosis.starts import in_all_strengths
 from edream.diagnosis.trials import Trial
-from tests.still_problem import trial_of
+from tests.still_problem import fit_of, having, still_problem, trial_of
 
 
 def _refits_to(monkeypatch: pytest.MonkeyPatch, end: Trial) -> None:
     """Every candidate can be placed, and its refit ends where `end` does."""
     told = {
         "on_few": lambda problem, fit: fit,
+        "without": lambda fit, candidate: fit,
+        "at_numbers_of": lambda few, fit: few,
+        "leaves_no_gap": lambda problem, fit: False,
         "placed_at": lambda problem, fit, targets, known: [Scored(Candidate(e.name, targets), {}, 0.0) for e in known],
         "elsewhere": lambda problem, fit, best: [],
         "refitted": lambda problem, fit, one, iterations, joints: SimpleNamespace(rms=1.0, objective=None),
@@ -88,6 +92,36 @@ def test_a_twin_is_measured_against_what_the_best_one_does_on_the_same_few_motio
     scored = [Scored(Candidate("spring", ("pan",)), {}, 0.1)]
     found = decide.with_confusable(problem, SimpleNamespace(rms=2.0), np.zeros(4), scored, [best])
     assert [t.candidate.effect for t in found if t is not best] == heard
+
+
+@pytest.mark.parametrize(("closes", "begun"), [(True, ["found"]), (False, ["found", "fitted"])])
+def test_a_twin_that_meets_what_the_best_one_does_beside_its_numbers_begins_nowhere_else(
+    monkeypatch: pytest.MonkeyPatch, closes: bool, begun: list[str]
+) -> None:
+    """Of two delays one was let go half-way, called worse: its joint's numbers had gone far to make up for it."""
+    best, here = replace(trial_of("sensor_delay", 0.9), fit=SimpleNamespace(rms=1.0)), list[str]()
+    monkeypatch.setattr(decide, "confused_with", lambda problem, effect: [SimpleNamespace(name="actuator_delay", place="joint")])
+    monkeypatch.setattr(decide, "passes", lambda problem, t: True)
+    monkeypatch.setattr(decide, "told_apart", lambda problem, worse, better: True)
+    _refits_to(monkeypatch, replace(best, closed=0.89))
+    monkeypatch.setattr(decide, "at_numbers_of", lambda few, fit: SimpleNamespace(rms=2.0, name="found"))
+    monkeypatch.setattr(decide, "leaves_no_gap", lambda problem, fit: closes)
+    monkeypatch.setattr(decide, "from_nearest", lambda problem, few, *more: here.append(few.name) or SimpleNamespace(rms=1.05))
+    problem, fit = SimpleNamespace(settings=SimpleNamespace(threads=1)), SimpleNamespace(rms=2.0, name="fitted")
+    found = decide.with_confusable(problem, fit, np.zeros(4), [], [best])
+    assert here == begun and [t.candidate.effect for t in found] == ["sensor_delay", "actuator_delay"]
+
+
+@pytest.mark.parametrize(("effect", "same"), [("actuator_delay", [0.0234]), ("load_friction", [])])
+def test_a_twin_begins_with_the_quantities_of_the_best_one_that_it_has_too(effect: str, same: list[float]) -> None:
+    """A delay of the commands as long as that of the measurements; friction knows no time, and begins in its strengths alone."""
+    problem, best = still_problem(), trial_of("sensor_delay", 0.9)
+    fit = fit_of(problem)
+    best = replace(best, fit=having(problem, fit, best.candidate, {"time": 0.0234}))
+    extended, absent = extend(fit, [place := placement(problem, Candidate(effect, ("tilt",)))])
+    starts = decide.as_much_as(best, problem, place, extended, absent)
+    strengths = in_all_strengths(problem, place, extended, absent)
+    assert [start[-1] for start in starts[: len(same)]] == pytest.approx(same) and len(starts) == len(same) + len(strengths)
 
 
 @pytest.mark.parametrize(("effect", "heard"), [("payload", ["wrist"]), ("spring", ["wrist"]), ("cogging", [])])
