@@ -40,6 +40,7 @@ LARGEST_ALPHA = 20.0
 WIDE, CLOSE = (0.5, 1.8), (0.5, 0.7, 0.8, 0.9, 1.1, 1.2, 1.35, 1.8)  # other sizes tried of an effect; of a limit
 HARDLY = 0.1  # of the best share: what explains less is looked at in one size alone
 MOST = 0.5  # of the gap: where something else explains as much, lengths of waves are not gone through
+LIKE = 0.75  # of what that explains: a wave that does as much at a wrong length may do more at its own
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,12 +174,13 @@ def _probe_round(problem: Problem, fit: Fit, candidates: Sequence[Candidate], to
 def with_scan(problem: Problem, fit: Fit, finalists: Sequence[Scored]) -> list[Scored]:
     """The finalists, the likeliest wave among them probed at every length: no slope leads from one to the next.
 
-    Not so where something else explains most of the gap: what is left of it then is for a further round.
+    Not so where something else explains most of the gap, and clearly more than a wave of a length that is not its own may: what is
+    left of it then is for a further round.
     """
     waves_ = [s for s in finalists if placement(problem, s.candidate).effect.phase is not None]
     best = max(waves_, key=lambda s: s.share, default=None)
     others = max((s.share for s in finalists if s not in waves_), default=0.0)
-    return [scanned(problem, fit, s) if s is best and others < MOST else s for s in finalists]
+    return [scanned(problem, fit, s) if s is best and others < max(MOST, s.share / LIKE) else s for s in finalists]
 
 
 def scanned(problem: Problem, fit: Fit, scored: Scored) -> Scored:

@@ -62,13 +62,16 @@ def test_a_hopeless_candidate_is_looked_at_in_one_size(
     assert looked_at(0.2e3, 1e3) == sizes
 
 
-@pytest.mark.parametrize(("explained", "scanned"), [(0.3, True), (0.6, False)])
+@pytest.mark.parametrize(
+    ("share", "explained", "scanned"), [(0.1, 0.3, True), (0.1, 0.6, False), (0.63, 0.51, True), (0.5, 0.6, True)]
+)
 def test_lengths_of_waves_are_gone_through_where_nothing_else_explains_most(
-    monkeypatch: pytest.MonkeyPatch, problem: Problem, fit: Fit, explained: float, scanned: bool
+    monkeypatch: pytest.MonkeyPatch, problem: Problem, fit: Fit, share: float, explained: float, scanned: bool
 ) -> None:
+    """A ripple of another length than the first looks have had explained more than a gear did, and was not gone through."""
     found = Scored(Candidate("cogging", ("tilt",)), {"torque": 1.0}, 0.4)
     monkeypatch.setattr(screen, "scanned", lambda *told: found)
-    wave, other = (Scored(Candidate(name, ("tilt",)), {}, share) for name, share in (("cogging", 0.1), ("spring", explained)))
+    wave, other = (Scored(Candidate(name, ("tilt",)), {}, share) for name, share in (("cogging", share), ("spring", explained)))
     assert with_scan(problem, fit, [wave, other]) == [found if scanned else wave, other]
 
 
