@@ -12,7 +12,7 @@ from edream.diagnosis.candidates import Candidate, library, placement
 from edream.diagnosis.descent import Fit, begin, descend, polish
 from edream.diagnosis.left_out import SEEN, bootstrap, gap_above_floor, leaves_no_gap, left_out_errors, worst_joint
 from edream.diagnosis.problem import Problem
-from edream.diagnosis.screen import Scored, extend
+from edream.diagnosis.screen import Scored, acts_already, extend
 from edream.diagnosis.starts import beside_either, either_way
 from edream.diagnosis.trials import Trial, gone_on, judged, leaves_little, on_few, residual_among
 from edream.sim.objective import Objective, rms
@@ -94,7 +94,8 @@ def creeping_with(problem: Problem, fit: Fit, trials: Sequence[Trial]) -> tuple[
     if not forms or (best is not None and leaves_little(problem, best)):
         return None
     few, joint = on_few(problem, fit), worst_joint(problem, fit)
-    places = [Candidate(effect.name, (joint,)) for effect in library(problem) if effect.of_creep]
+    there = [Candidate(effect.name, (joint,)) for effect in library(problem) if effect.of_creep]
+    places = [one for one in there if not acts_already(one, fit.objective.simulated.placements)]
     if not places:
         return None
     softer, soft = replace(problem, creep=forms[0]), _softened(few, fit, forms[0], FIRST)

@@ -25,6 +25,7 @@ from edream.sim.emit import emit
 from edream.sim.robot import RobotModel, load_robot
 from edream.sim.simulation import Placement, SimulatedRobot
 from tests.stand_in import episodes_of
+from tests.still_problem import having
 
 HEAD = load_robot(Path(edream.__file__).parent / "robots" / "pan_tilt.xml", site="ee")
 WHEEL = """<mujoco><option timestep="0.002" gravity="0 0 0"/><worldbody><body><joint name="turn" axis="0 0 1" damping="0"/>
@@ -155,5 +156,6 @@ def test_an_effect_that_does_nothing_beside_friction_that_holds_is_sought_togeth
     assert lead.fit.rms < 1.1 * problem.floor < softer.fit.rms
     explained = replace(lead, closed=1.0)
     assert creeping_with(problem, fit, [explained]) is None
+    assert creeping_with(problem, having(problem, fit, lead.candidate, {"asymmetry": 0.1}), []) is None, "it is named already"
     holding = prepare(HEAD, episodes_of(HEAD, smooth(0.0, ("stribeck",), 8), 4), Settings())
     assert creeping_with(holding, fit_nuisance(holding), []) is None
