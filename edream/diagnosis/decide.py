@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 from jaxtyping import Float
@@ -10,7 +9,7 @@ from jaxtyping import Float
 from edream.catalog import load
 from edream.core.effect import Effect
 from edream.diagnosis.backward import passes, without
-from edream.diagnosis.candidates import Candidate, acted_on, confused_with, placement, standing
+from edream.diagnosis.candidates import Candidate, acted_on, confused_with, placement
 from edream.diagnosis.descent import Fit, begin, descend, polish
 from edream.diagnosis.ends import SHAPES, begun_again, to_their_ends
 from edream.diagnosis.finer import closes_more
@@ -19,12 +18,12 @@ from edream.diagnosis.left_out import (
     is_brief,
     leaves_no_gap,
 )
-from edream.diagnosis.nearest import from_nearest, placed_at
+from edream.diagnosis.nearest import as_much_as, from_nearest, placed_at
 from edream.diagnosis.problem import Problem
 from edream.diagnosis.remainder import Remainder
-from edream.diagnosis.screen import Scored, extend, with_quantities
+from edream.diagnosis.screen import Scored, extend
 from edream.diagnosis.side_by_side import side_by_side
-from edream.diagnosis.starts import fresh_columns, in_all_strengths, in_all_strengths_beside_published, of_joints
+from edream.diagnosis.starts import fresh_columns, in_all_strengths_beside_published, of_joints
 from edream.diagnosis.suspects import elsewhere
 from edream.diagnosis.trials import (
     HOPELESS,
@@ -41,8 +40,6 @@ from edream.diagnosis.trials import (
     rms_among,
 )
 from edream.sim.least_squares import worth
-from edream.sim.objective import Objective
-from edream.sim.simulation import Placement
 
 ALIKE = 0.9  # a rival that closes this share of what the winner closes may be the true one
 NEAR, RIVALS = 0.75, 5  # of the best one's gain; so many go on
@@ -241,7 +238,7 @@ def heard(
     def refitted_there(one: Scored) -> Trial | None:
         joints = acted_on(one.candidate)
         # what does the same has the same numbers, and may be far from there otherwise
-        ends = [from_nearest(problem, found, one, partial(as_much_as, best), TWIN_STEPS)]
+        ends = [from_nearest(problem, found, one, as_much_as(best.fit, best.candidate), TWIN_STEPS)]
         if ends[0].rms <= enough:
             return judged(problem, gone_on(bare, ends[0], joints), errors, one)
         begun = refitted(problem, few, one, iterations=FIRST_STEPS, joints=joints)
@@ -264,22 +261,6 @@ def heard(
 def at_numbers_of(few: Fit, fit: Fit) -> Fit:
     """A fit on few motions at the numbers of another one of the same model, which was fitted to more."""
     return replace(few, unit=fit.unit, residual=residual_among(few, fit))
-
-
-def as_much_as(
-    best: Trial, problem: Problem, place: Placement, extended: Objective, absent: Float[np.ndarray, "P"]
-) -> list[Float[np.ndarray, "P"]]:
-    """Parameter sets, (P,): an effect in all its strengths, and with the quantities of another one as far as it has them, too."""
-    own = standing(problem, best.candidate, best.fit.objective.simulated)
-    found = best.fit.space.mapping(best.fit.values)
-    shared = {p.name for p in own.parameters(problem.robot.model)}
-    same = {
-        p.name: float(np.clip(found[own.full_name(p.name)], p.low, p.high))
-        for p in place.effect.parameters(problem.robot.model, place.targets)
-        if own.full_name(p.name) in shared
-    }
-    begun = in_all_strengths(problem, place, extended, absent)
-    return [with_quantities(extended, absent, [place], [same]), *begun] if same else begun
 
 
 def rivals(problem: Problem, trials: Sequence[Trial], winner: Trial) -> list[tuple[Trial, bool]]:

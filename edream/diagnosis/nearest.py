@@ -10,9 +10,9 @@ from edream.diagnosis.candidates import Candidate, acted_on, library, on_links, 
 from edream.diagnosis.descent import Fit, begin, descend
 from edream.diagnosis.left_out import worst_joint
 from edream.diagnosis.problem import Problem
-from edream.diagnosis.screen import Scored, acts_already, extend, fits_beside
+from edream.diagnosis.screen import Scored, acts_already, extend, fits_beside, with_quantities
 from edream.diagnosis.side_by_side import side_by_side
-from edream.diagnosis.starts import fresh_columns, of_joints, with_column
+from edream.diagnosis.starts import fresh_columns, in_all_strengths, of_joints, with_column
 from edream.sim.objective import Objective, rms
 from edream.sim.simulation import Placement
 
@@ -102,3 +102,24 @@ def placed_at(problem: Problem, fit: Fit, targets: Sequence[str], effects: Seque
     there = dict.fromkeys(c for one in rounds(problem, effects) for c in one if c.targets == tuple(targets))
     fresh = [c for c in there if not acts_already(c, fit.objective.simulated.placements) and fits_beside(problem, fit, [c])]
     return [Scored(c, probes_of(problem, placement(problem, c))[0], 0.0) for c in fresh]
+
+
+def as_much_as(fit: Fit, other: Candidate) -> Starts:
+    """Starts of an effect in all its strengths and, first, with the quantities of another one in a fit, as far as it has them.
+
+    A more general form, or one that moves the joint alike, is as strong as what is looked for, in strengths that no probe may have.
+    """
+
+    def starts(
+        problem: Problem, place: Placement, extended: Objective, absent: Float[np.ndarray, "P"]
+    ) -> list[Float[np.ndarray, "P"]]:
+        own, found = placement(problem, other), fit.space.mapping(fit.values)
+        same = {
+            p.name: float(np.clip(found[own.full_name(p.name)], p.low, p.high))
+            for p in place.effect.parameters(problem.robot.model, place.targets)
+            if own.full_name(p.name) in found
+        }
+        begun = in_all_strengths(problem, place, extended, absent)
+        return [with_quantities(extended, absent, [place], [same]), *begun] if same else begun
+
+    return starts

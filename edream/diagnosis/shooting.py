@@ -19,14 +19,12 @@ from edream.diagnosis.creep import TOGETHER, creeping
 from edream.diagnosis.descent import Fit, begin, descend, polish
 from edream.diagnosis.few import ENOUGH, thinned
 from edream.diagnosis.left_out import left_out_errors, worst_joint
-from edream.diagnosis.nearest import Starts, begun_in_all_strengths, from_nearest, moving
+from edream.diagnosis.nearest import as_much_as, begun_in_all_strengths, from_nearest, moving
 from edream.diagnosis.problem import Problem
 from edream.diagnosis.screen import Scored
 from edream.diagnosis.side_by_side import side_by_side
-from edream.diagnosis.starts import as_published, in_all_strengths, in_all_strengths_beside_published, of_joints
+from edream.diagnosis.starts import as_published, in_all_strengths_beside_published, of_joints
 from edream.diagnosis.trials import Trial, judged, on_stretches
-from edream.sim.objective import Objective
-from edream.sim.simulation import Placement
 
 SHORT = 0.2  # s
 LEADS = 3  # of what is nearest alone
@@ -85,24 +83,10 @@ def _plainest(problem: Problem, near: Fit, both: tuple[Candidate, Candidate]) ->
         plain = Candidate(special[0], candidate.targets) if special else candidate
         if plain in found:
             continue
-        again = from_nearest(problem, without(near, candidate), Scored(plain, {}, 0.0), _or_as(near, candidate), ARRIVING)
+        again = from_nearest(problem, without(near, candidate), Scored(plain, {}, 0.0), as_much_as(near, candidate), ARRIVING)
         if again.rms <= AS_NEAR * near.rms:
             near, found[at] = again, plain
     return near, (found[0], found[1])
-
-
-def _or_as(near: Fit, candidate: Candidate) -> Starts:
-    """All strengths of an effect, and the numbers that a more general one has in a fit, by the names that both share."""
-    found = near.space.mapping(near.values)
-
-    def starts(
-        problem: Problem, place: Placement, extended: Objective, absent: Float[np.ndarray, "P"]
-    ) -> list[Float[np.ndarray, "P"]]:
-        names = [name.replace(f"{place.effect.name}.", f"{candidate.effect}.", 1) for name in extended.simulated.space.names]
-        same = np.array([found.get(name, value) for name, value in zip(names, absent, strict=True)])
-        return [same, *in_all_strengths(problem, place, extended, absent)]
-
-    return starts
 
 
 def _with_creep(problem: Problem, end: Fit) -> tuple[Problem, Fit]:

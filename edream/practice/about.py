@@ -1,6 +1,6 @@
 """What must be known of a trained policy besides its weights: sizes, cameras, scales; the same in the store and in a bundle."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -8,6 +8,7 @@ import numpy as np
 import torch
 
 from edream import catalog
+from edream.core.stage import Artifact
 from edream.learn.checkpoint import fill
 from edream.learn.policy import FittedPolicy, Policy, PolicyShape, Scale, Seen
 
@@ -100,3 +101,8 @@ class PolicyAbout:
             spread=float(values["spread"]),
             **scales,
         )
+
+
+def rounds_of(policy: Artifact) -> Sequence[Mapping[str, Any]]:
+    """The rounds of trials that a policy in an artifact learned from, a row each; none for a supervised one."""
+    return policy[HISTORY] if HISTORY in policy else []  # noqa: SIM401 - an artifact has no default

@@ -17,7 +17,7 @@ from edream.core.stage import Artifact, Bundle, Source, Stage, Work
 from edream.core.task import Task
 from edream.ingest.episode_file import write_episode
 from edream.learn.device import acting_on
-from edream.practice.about import ABOUT, HISTORY, WEIGHTS, PolicyAbout
+from edream.practice.about import ABOUT, WEIGHTS, PolicyAbout, rounds_of
 from edream.practice.collecting import OUTCOMES, Manner, Player, Shard, collected, outcomes_of, split
 from edream.practice.film import episode_of, moving_picture
 from edream.practice.naming import NAMES, brief, label
@@ -110,7 +110,7 @@ def run(inputs: Mapping[str, Artifact], config: EvaluateConfig, work: Work) -> B
         films |= filmed_trials(number, name, about, found, config.task, work.folder(f"films-{number}"))
     done = [table["success"].to_pylist() for table in tables]
     beside = paired(done[0], done[-1]) if len(done) > 1 else None
-    idle = [f" {brief(row['name'])}: {said}" for row in rows if (said := taught_nothing(_history(inputs[row["policy"]])))]
+    idle = [f" {brief(row['name'])}: {said}" for row in rows if (said := taught_nothing(rounds_of(inputs[row["policy"]])))]
     summary = {
         "sentence": sentence(rows, beside) + "".join(idle),
         "task": config.task,
@@ -119,11 +119,6 @@ def run(inputs: Mapping[str, Artifact], config: EvaluateConfig, work: Work) -> B
         "paired": beside,
     }
     return films | {"outcomes.parquet": pa.concat_tables(tables), "summary.json": summary}
-
-
-def _history(policy: Artifact) -> Sequence[Mapping[str, Any]]:
-    """The rounds of trials that a policy learned from; none for a supervised one."""
-    return policy[HISTORY] if HISTORY in policy else []  # noqa: SIM401 - an artifact has no default
 
 
 def worth_seeing(outcomes: pa.Table, count: int) -> list[int]:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from edream.calibration.settings import RobotSettings, SpaceSettings
 from edream.core.stage import Artifact, Bundle, Source, Stage, Work
 from edream.learn.device import acting_on
-from edream.practice.about import ABOUT, HISTORY, WEIGHTS, PolicyAbout
+from edream.practice.about import ABOUT, HISTORY, WEIGHTS, PolicyAbout, rounds_of
 from edream.practice.collecting import TRIALS, Manner, Player, collected, outcomes_of
 from edream.practice.dreaming import eyes_of
 from edream.practice.options import Acting
@@ -70,8 +70,7 @@ def run(inputs: Mapping[str, Artifact], config: RolloutsConfig, work: Work) -> B
         "physics": len(cells),
     }
     kept = {f"trials/{number:05d}.safetensors": shard.path(TRIALS) for number, shard in enumerate(found)}
-    history = source[HISTORY] if HISTORY in source else []  # noqa: SIM401 - an artifact has no default
-    policy = {WEIGHTS: source[WEIGHTS], ABOUT: source[ABOUT], HISTORY: history}
+    policy = {WEIGHTS: source[WEIGHTS], ABOUT: source[ABOUT], HISTORY: rounds_of(source)}
     return kept | policy | {"outcomes.parquet": outcomes, "summary.json": summary}
 
 

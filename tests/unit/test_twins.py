@@ -8,6 +8,7 @@ import pytest
 
 from edream.diagnosis import candidates, decide
 from edream.diagnosis.candidates import Candidate, placement
+from edream.diagnosis.nearest import as_much_as
 from edream.diagnosis.screen import Scored, extend
 from edream.diagnosis.starts import in_all_strengths
 from edream.diagnosis.trials import Trial
@@ -119,7 +120,7 @@ def test_a_twin_begins_with_the_quantities_of_the_best_one_that_it_has_too(effec
     fit = fit_of(problem)
     best = replace(best, fit=having(problem, fit, best.candidate, {"time": 0.0234}))
     extended, absent = extend(fit, [place := placement(problem, Candidate(effect, ("tilt",)))])
-    starts = decide.as_much_as(best, problem, place, extended, absent)
+    starts = as_much_as(best.fit, best.candidate)(problem, place, extended, absent)
     strengths = in_all_strengths(problem, place, extended, absent)
     assert [start[-1] for start in starts[: len(same)]] == pytest.approx(same) and len(starts) == len(same) + len(strengths)
 
