@@ -10,7 +10,16 @@ from edream.catalog import load
 from edream.core.effect import Effect
 from edream.diagnosis.candidates import Candidate, library, placement
 from edream.diagnosis.descent import Fit, begin, descend, polish
-from edream.diagnosis.left_out import SEEN, bootstrap, gap_above_floor, leaves_no_gap, left_out_errors, worst_joint
+from edream.diagnosis.left_out import (
+    SEEN,
+    bootstrap,
+    gap_above_floor,
+    joint_errors,
+    leaves_no_gap,
+    left_out_errors,
+    left_out_squares,
+    worst_joint,
+)
 from edream.diagnosis.problem import Problem
 from edream.diagnosis.screen import Scored, acts_already, extend
 from edream.diagnosis.starts import beside_either, either_way
@@ -22,6 +31,9 @@ FIRST, FURTHER = 4, 6  # steps on a few motions, and on all
 ARRIVING = 12  # steps of an effect together with friction that creeps: neither is near its end without the other
 TOGETHER = 0.5  # of the squared error above the floor that an effect or creeping leaves, on all joints and on one
 MOST = 0.5  # of the joints: on more than that it is how a robot is made
+LOUD = 2.0  # times the error that joints have in the median: one that is off more lacks something of its own
+FEWEST = 3  # quiet joints that may speak for all
+LEAST = 1.0  # of the floor squared: a gap on quiet joints
 FAR = 0.5  # of what creeping closes: an effect that closes less by its first refit is searched for beside friction that creeps
 
 
@@ -36,26 +48,81 @@ class Creeping:
 
 def creeping(problem: Problem, fit: Fit, errors: Float[np.ndarray, "M"]) -> Creeping | None:
     """The model with friction that creeps, in the form that suits the motions best; None where that surely gains nothing on those
-    left out, whose `errors` are without it [rad^2], (M,), or the share of the gap that an effect must close is not met."""
+    left out, whose `errors` are without it [rad^2], (M,), or the share of the gap that an effect must close is not met.
+
+    Where a few joints are off far more than the others by something of their own, it may be the others that ask for it.
+    """
     forms = _forms(problem, fit)
-    if not forms:
+    if not forms or (seen := _seen_on_few(problem, fit, forms)) is None:
         return None
-    few, least = on_few(problem, fit), problem.settings.gain
-    best, form = min(((_softened(few, fit, form, FIRST), form) for form in forms), key=lambda one: one[0].rms)
-    if few.rms**2 - best.rms**2 < least * (few.rms**2 - problem.floor**2):
-        return None
+    best, form = seen
     softer = replace(problem, creep=form)
     begun = [_softened(fit, one, form, 0) for one in (best, fit)]  # what suits a few motions may lead all of them astray
     end = descend(min(begun, key=lambda one: one.rms), None, FURTHER)
-    left = left_out_errors(softer, end)
+    squares = left_out_squares(softer, end)
+    left = squares.mean(axis=1)
     low, _ = bootstrap(errors - left, problem.settings.seed)
-    enough = errors.mean() - left.mean() >= least * (errors.mean() - problem.floor**2)
-    return Creeping(softer, end, left) if low > 0.0 and enough else None
+    enough = errors.mean() - left.mean() >= problem.settings.gain * (errors.mean() - problem.floor**2)
+    return Creeping(softer, end, left) if (low > 0.0 and enough) or _mends_quiet_joints(problem, fit, squares) else None
+
+
+def _seen_on_few(problem: Problem, fit: Fit, forms: Sequence[Effect]) -> tuple[Fit, Effect] | None:
+    """The form that suits a few motions best, begun there, where it gains as much as an effect must, or does on quiet joints alone.
+
+    Steps that follow what loud ones lack lead the others nowhere.
+    """
+    few = on_few(problem, fit)
+    for some in (few, *quiet_ones_alone(problem, few)):
+        best, form = min(((_softened(some, fit, form, FIRST), form) for form in forms), key=lambda one: one[0].rms)
+        if some.rms**2 - best.rms**2 >= problem.settings.gain * (some.rms**2 - problem.floor**2):
+            return best, form
+    return None
+
+
+def _mends_quiet_joints(problem: Problem, fit: Fit, squares: Float[np.ndarray, "M J"]) -> bool:
+    """Whether friction that creeps, with these errors on motions left out [rad^2], surely leaves less than half on quiet joints."""
+    quiet = quiet_joints(problem, fit)
+    if quiet is None:
+        return False
+    before, after = (one[:, quiet].mean(axis=1) for one in (left_out_squares(problem, fit), squares))
+    low, _ = bootstrap(before - after, problem.settings.seed)
+    return low > 0.0 and _mends(problem, float(before.mean()), float(after.mean()))
+
+
+def _mends(problem: Problem, before: float, after: float) -> bool:
+    """Whether there is a gap that is large enough to count, and less than half of it left; by mean squared errors [rad^2]."""
+    gap = before - problem.floor**2
+    return gap > LEAST * problem.floor**2 and after - problem.floor**2 < TOGETHER * gap
+
+
+def quiet_joints(problem: Problem, fit: Fit) -> Bool[np.ndarray, "J"] | None:
+    """The joints that are not off far more than joints are in the median, (J,); None where all are so, or too few speak for all."""
+    errors = joint_errors(problem, fit)
+    quiet = errors <= LOUD * np.median(errors)
+    return quiet if not quiet.all() and quiet.sum() >= FEWEST else None
+
+
+def quiet_ones_alone(problem: Problem, few: Fit) -> list[Fit]:
+    """A fit on its quiet joints alone; nothing where there are none."""
+    if (quiet := quiet_joints(problem, few)) is None:
+        return []
+    columns = problem.counted.copy()
+    columns[problem.counted] = quiet
+    rows = np.tile(quiet, len(few.residual) // len(quiet))
+    offset = None if few.objective.offset is None else few.objective.offset[rows]
+    objective = replace(few.objective, joints=columns, offset=offset, simulations=0)
+    return [replace(few, objective=objective, residual=few.residual[rows], jacobian=few.jacobian[rows])]
 
 
 def outdoes(found: Creeping, trials: Sequence[Trial], seed: int) -> bool:
     """Whether motions left out speak for friction that creeps and against every effect that surely helps."""
     return all(bootstrap(t.errors - found.errors, seed)[0] > 0.0 for t in trials if t.sure)
+
+
+def is_missing(found: Creeping, problem: Problem, fit: Fit, errors: Float[np.ndarray, "M"], trials: Sequence[Trial]) -> bool:
+    """Whether friction that creeps is to be a usual number before any effect is looked for further."""
+    ahead = is_far_ahead(found, problem, errors, trials) or is_made_so(found, problem, fit, trials)
+    return ahead or is_missing_beside(found, problem, trials)
 
 
 def is_far_ahead(found: Creeping, problem: Problem, errors: Float[np.ndarray, "M"], trials: Sequence[Trial]) -> bool:
@@ -82,6 +149,20 @@ def is_missing_beside(found: Creeping, problem: Problem, trials: Sequence[Trial]
     if left >= TOGETHER * (min(float(np.mean(by_effect**2)), few.rms**2) - problem.floor**2):
         return False
     return float(np.mean(_mended(problem, by_effect, by_both))) > MOST
+
+
+def is_made_so(found: Creeping, problem: Problem, fit: Fit, trials: Sequence[Trial]) -> bool:
+    """Whether friction that creeps leaves, on joints that are quiet in a fit, less than half of what any effect does that helps.
+
+    What these have alike is how a robot is made, whatever the loud ones lack: beside it that is found sooner.
+    """
+    if (quiet := quiet_joints(problem, fit)) is None:
+        return False
+
+    def left(one: Fit) -> float:
+        return float((joint_errors(problem, one)[quiet] ** 2).mean())
+
+    return _mends(problem, min(map(left, [fit, *(t.fit for t in trials if t.sure)])), left(found.fit))
 
 
 def creeping_with(problem: Problem, fit: Fit, trials: Sequence[Trial]) -> tuple[Creeping, Trial] | None:

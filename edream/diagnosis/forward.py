@@ -8,7 +8,7 @@ from jaxtyping import Float
 from edream.diagnosis.astray import screen_twice
 from edream.diagnosis.backward import nearer_without, passes, stands
 from edream.diagnosis.candidates import untouched
-from edream.diagnosis.creep import creeping, creeping_with, is_far_ahead, is_missing_beside, outdoes, softened
+from edream.diagnosis.creep import creeping, creeping_with, is_missing, outdoes, softened
 from edream.diagnosis.decide import Round, restarted, settled, simplest, simplified, told_apart, with_confusable
 from edream.diagnosis.descent import Fit, polish
 from edream.diagnosis.ends import arrived
@@ -65,7 +65,7 @@ def forward(
             fit = nearer  # so much nearer that this ends
             continue
         softer = creeping(problem, fit, errors)
-        if softer is not None and (is_far_ahead(softer, problem, errors, trials) or is_missing_beside(softer, problem, trials)):
+        if softer is not None and is_missing(softer, problem, fit, errors, trials):
             problem, fit, leads = softer.problem, softer.fit, [softened(softer, one) for one in leads]
             continue
         if (together := creeping_with(problem, fit, trials)) is not None:

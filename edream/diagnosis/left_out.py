@@ -30,7 +30,12 @@ def folds(problem: Problem, count: int) -> Int[np.ndarray, "M"]:
 
 
 def left_out_errors(problem: Problem, fit: Fit) -> Float[np.ndarray, "M"]:
-    """Mean squared error [rad^2] of each fitted motion when its fold is left out of the last step of the fit, (M,).
+    """Mean squared error [rad^2] of each fitted motion when it is left out, (M,); see `left_out_squares`."""
+    return left_out_squares(problem, fit).mean(axis=1)
+
+
+def left_out_squares(problem: Problem, fit: Fit) -> Float[np.ndarray, "M J"]:
+    """The same of each joint that counts in each fitted motion when its fold is left out of the last step of the fit, (M, J).
 
     The fit has arrived, so leaving a fold out moves it by one Gauss-Newton step over the other folds; the fold is then simulated at
     the values that never saw it. Where that makes it much worse than it is in the fit, shorter steps are tried, too.
@@ -42,23 +47,23 @@ def left_out_errors(problem: Problem, fit: Fit) -> Float[np.ndarray, "M"]:
     kept = [fold[fit.objective.owner] != one for one in range(fold.max() + 1)]
     without = np.array([fit.space.from_unit(np.clip(fit.unit + step_from(fit, rows), 0.0, 1.0)) for rows in kept])
     simulated = rollout_each(fit.objective.simulated, without[fold], windows, problem.settings.threads)
-    errors = np.array([mean_squares(s, w.measured, problem.counted).mean() for s, w in zip(simulated, windows, strict=True)])
-    return errors if errors.mean() <= (ASTRAY * fit.rms) ** 2 else _left_out_carefully(fit, fold)
+    squares = np.array([mean_squares(s, w.measured, problem.counted) for s, w in zip(simulated, windows, strict=True)])
+    return squares if squares.mean() <= (ASTRAY * fit.rms) ** 2 else _left_out_carefully(fit, fold)
 
 
-def _left_out_carefully(fit: Fit, fold: np.ndarray) -> Float[np.ndarray, "M"]:
+def _left_out_carefully(fit: Fit, fold: np.ndarray) -> Float[np.ndarray, "M J"]:
     """The same where a whole step may lead astray: that length is taken, none among them, which suits the other motions."""
     owner = fit.objective.owner
     kept = [fold[owner] != one for one in range(fold.max() + 1)]
     steps = [step_from(fit, rows) for rows in kept]
     sets = [np.clip(fit.unit + length * step, 0.0, 1.0) for step in steps for length in LENGTHS]
     squares = fit.objective.residuals(fit.space.from_unit(np.array(sets))) ** 2
-    out = np.zeros(len(fold))
+    out = np.zeros((len(fold), fit.objective.measured[0].shape[1]))
     for one, rows in enumerate(kept):
         mine = np.vstack([squares[one * len(LENGTHS) : (one + 1) * len(LENGTHS)], fit.residual**2])
         best = mine[int(np.argmin(mine[:, rows].sum(axis=1)))]
         for number in np.flatnonzero(fold == one):
-            out[number] = best[owner == number].mean()
+            out[number] = best[owner == number].reshape(-1, out.shape[1]).mean(axis=0)
     return out
 
 

@@ -154,4 +154,4 @@ def summary(found: Diagnosis, bundle: Mapping[str, Any], more: str) -> dict[str,
     }
 
 
-ENTRY = Stage("diagnose", 179, ("ingest",), DiagnoseConfig, run, sources, ("mujoco", "numpy", "scipy"))
+ENTRY = Stage("diagnose", 180, ("ingest",), DiagnoseConfig, run, sources, ("mujoco", "numpy", "scipy"))

@@ -1,5 +1,6 @@
 """Dry friction that lets a stuck joint creep: its law in MuJoCo, and when a diagnosis makes it a usual number."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -12,11 +13,22 @@ import edream
 from edream import catalog
 from edream.core.effect import Effect
 from edream.diagnosis.candidates import Candidate
-from edream.diagnosis.creep import FAR, Creeping, creeping, creeping_with, is_far_ahead, is_missing_beside, outdoes
+from edream.diagnosis.creep import (
+    FAR,
+    Creeping,
+    creeping,
+    creeping_with,
+    is_far_ahead,
+    is_made_so,
+    is_missing_beside,
+    outdoes,
+    quiet_ones_alone,
+)
+from edream.diagnosis.descent import Fit
 from edream.diagnosis.evidence import evidence
 from edream.diagnosis.left_out import leaves_no_gap
-from edream.diagnosis.nuisance import fit_nuisance
-from edream.diagnosis.problem import Settings, prepare
+from edream.diagnosis.nuisance import fit_nuisance, published
+from edream.diagnosis.problem import Problem, Settings, prepare
 from edream.diagnosis.screen import Scored
 from edream.diagnosis.trials import Trial, predicted, refit
 from edream.diagnosis.verdict import diagnose
@@ -135,6 +147,49 @@ def test_friction_that_creeps_is_missing_where_most_joints_say_so(
     found = Creeping(problem, None, np.zeros(6))  # type: ignore[arg-type]
     best = Trial(None, 1.0, None, np.zeros(6), 0.5, True)  # type: ignore[arg-type]
     assert is_missing_beside(found, problem, [best, replace(best, closed=0.9, sure=False)]) is missing  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def desk() -> tuple[Problem, Callable[..., Fit]]:
+    """An arm of four joints, and its published model as far off as one says on each of them [floors]."""
+    robot = load_robot(Path(edream.__file__).parents[1] / "benchmarks" / "robots" / "desk4.xml")
+    problem = prepare(robot, episodes_of(robot, draw(robot, (), np.random.default_rng(4), 0.3), 4, 4, 1.0), Settings())
+    objective = published(problem)
+    rows = objective.residuals(np.zeros((1, 0)))[0].reshape(-1, 4)
+
+    def off(*errors: float) -> Fit:
+        residual = (rows * errors * problem.floor / np.sqrt((rows**2).mean(axis=0))).ravel()
+        return Fit(objective, np.zeros(0), residual, np.zeros((len(residual), 0)), 1.0)
+
+    return problem, off
+
+
+def test_joints_that_are_off_far_more_than_the_others_are_left_out_of_what_those_are_asked(
+    desk: tuple[Problem, Callable[..., Fit]],
+) -> None:
+    problem, off = desk
+    (quiet,) = quiet_ones_alone(problem, off(4.0, 5.0, 11.0, 4.0))
+    assert quiet.rms == pytest.approx(np.sqrt((4.0**2 + 5.0**2 + 4.0**2) / 3.0) * problem.floor)
+    all_joints = quiet.objective.windows[0].measured[1:]
+    assert quiet.objective.measured[0] == pytest.approx(all_joints[:, [0, 1, 3]])
+    assert len(quiet.objective.residuals(np.zeros((1, 0)))[0]) == len(quiet.residual)
+    assert quiet_ones_alone(problem, off(5.0, 6.0, 9.0, 4.0)) == [], "none is off far more than the others"
+    assert quiet_ones_alone(problem, off(1.0, 1.0, 11.0, 12.0)) == [], "two do not speak for all"
+
+
+def test_what_quiet_joints_have_alike_is_how_a_robot_is_made_unless_an_effect_explains_it(
+    desk: tuple[Problem, Callable[..., Fit]],
+) -> None:
+    problem, off = desk
+    fit, none = off(4.0, 4.0, 30.0, 4.0), np.zeros(3)
+    creeps = Creeping(problem, off(1.1, 1.2, 30.0, 1.1), none)
+    own = Trial(None, 1.0, off(4.0, 4.0, 1.0, 4.0), none, 0.9, True)  # type: ignore[arg-type]
+    assert is_made_so(creeps, problem, fit, [own])
+    assert not is_made_so(creeps, problem, fit, [own, replace(own, fit=off(1.2, 1.1, 29.0, 1.1))])
+    assert is_made_so(creeps, problem, fit, [replace(own, fit=off(1.2, 1.1, 29.0, 1.1), sure=False)])
+    assert not is_made_so(Creeping(problem, off(3.5, 3.0, 20.0, 3.5), none), problem, fit, [])
+    assert not is_made_so(creeps, problem, off(4.0, 5.0, 6.0, 4.0), []), "no joint is loud"
+    assert not is_made_so(Creeping(problem, off(1.0, 1.0, 30.0, 1.0), none), problem, off(1.3, 1.3, 30.0, 1.3), []), "hardly a gap"
 
 
 @pytest.mark.parametrize(("effect", "motions"), [("asymmetric_coulomb", 6), ("directional_efficiency", 8)])
